@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""The one place that knows DOLFINx's version; everything else calls these functions.
+
+Tested with 0.9 (UFL 2024.2, PETSc 3.22). Each difference names the release that made it; delete
+the older branch when that release is no longer supported.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dolfinx
+import numpy as np
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+
+VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
+if not (0, 9) <= VERSION < (0, 12):
+    raise ImportError(
+        f"variform needs DOLFINx 0.9 to 0.11, found {dolfinx.__version__}: "
+        "run it through docker/enter, or install one of these releases."
+    )
+LATER = VERSION >= (0, 10)
+
+
+def geometric_dimension(domain: Any) -> int:
+    """Geometric dimension of a UFL mesh (a method up to UFL 2025.1, a property later)."""
+    dim = domain.geometric_dimension
+    return int(dim() if callable(dim) else dim)
+
+
+def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
+    """Reference points of a space's degrees of freedom (a method up to 0.9)."""
+    points = V.element.interpolation_points
+    return points() if callable(points) else points
+
+
+def create_vector(form: fem.Form) -> Any:
+    """PETSc vector with ghosts of a linear form (0.10: of a function space)."""
+    if LATER:
+        return fem_petsc.create_vector(form.function_spaces[0])
+    return fem_petsc.create_vector(form)
+
+
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+    """Geometry nodes of each local cell, shape (cells, nodes) (0.11: a list of them)."""
+    geometry = mesh.geometry
+    return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: MIT
+"""Energy, residual and tangent as numbers and PETSc objects: the one place that assembles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from .supports import Support, is_mixed
+from .variation import Dependent, dependents, residual, tangent
+
+
+@dataclass(eq=False)
+class System:
+    """A potential, its residual and tangent, compiled, with the supports.
+
+    Attributes:
+        u: Unknown; the assembling methods evaluate at its present values.
+        supports: Prescribed displacements.
+        minimization: Whether the solution minimizes the energy: a potential of the displacement
+            alone, with no load that is a virtual work.
+        symmetric: Whether the tangent is symmetric.
+        constrained: Local numbers of the owned degrees of freedom that supports prescribe.
+    """
+
+    u: fem.Function
+    supports: Sequence[Support]
+    minimization: bool
+    symmetric: bool
+    _energy: fem.Form | None
+    _residual: fem.Form
+    _tangent: fem.Form
+    _dependents: list[Dependent]
+    constrained: NDArray[np.int32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        imap, bs = self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.bs
+        owned = imap.size_local * bs
+        dofs = [bc.dof_indices()[0] for bc in self.conditions]
+        # dof_indices of 0.9 may count ghosts as owned in a blocked space: compare numbers instead.
+        found = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)]))
+        self.constrained = found[found < owned].astype(np.int32)
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Communicator of the mesh."""
+        return self.u.function_space.mesh.comm
+
+    @property
+    def conditions(self) -> list[fem.DirichletBC]:
+        """Boundary conditions of all supports, in their order (the last one wins)."""
+        return [bc for support in self.supports for bc in support.conditions]
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether a potential was given."""
+        return self._energy is not None
+
+    @property
+    def size(self) -> int:
+        """Degrees of freedom on all ranks."""
+        dofmap = self.u.function_space.dofmap
+        return dofmap.index_map.size_global * dofmap.bs
+
+    def update_dependents(self) -> None:
+        """Bring coefficients that depend on the unknown up to date."""
+        for coefficient in self._dependents:
+            coefficient.update()
+
+    def energy(self) -> float:
+        """Potential at u [J], the sum over all ranks; 0 where only a residual was given. Collective."""
+        if self._energy is None:
+            return 0.0
+        self.update_dependents()
+        with np.errstate(all="ignore"):
+            return float(self.comm.allreduce(fem.assemble_scalar(self._energy)))
+
+    def create_vector(self) -> PETSc.Vec:
+        """PETSc vector of the unknown's layout, with ghosts."""
+        return _dolfinx.create_vector(self._residual)
+
+    def create_matrix(self) -> PETSc.Mat:
+        """PETSc AIJ matrix for the tangent; marked symmetric where it is."""
+        A = fem_petsc.create_matrix(self._tangent)
+        if self.symmetric:
+            A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            A.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        return A
+
+    def residual(self, b: PETSc.Vec) -> None:
+        """Assemble the residual at u into b: out-of-balance forces, and reactions at supports.
+
+        No boundary condition enters. At a supported degree of freedom the entry is the force [N]
+        that the support exerts on the body. Collective.
+        """
+        self.update_dependents()
+        with b.localForm() as local:
+            local.set(0)
+        fem_petsc.assemble_vector(b, self._residual)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+    def lifted_residual(self, b: PETSc.Vec) -> None:
+        """Assemble R + K (prescribed - u) into b: the residual after a linear move to the supports.
+
+        Entries at supported degrees of freedom have no meaning. Collective.
+        """
+        self.update_dependents()
+        with b.localForm() as local:
+            local.set(0)
+        fem_petsc.assemble_vector(b, self._residual)
+        x = self.u.x.petsc_vec
+        fem_petsc.apply_lifting(b, [self._tangent], bcs=[self.conditions], x0=[x], alpha=-1.0)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+    def tangent(self, A: PETSc.Mat) -> None:
+        """Assemble the tangent at u into A, supported rows and columns those of identity."""
+        self.update_dependents()
+        A.zeroEntries()
+        fem_petsc.assemble_matrix(A, self._tangent, self.conditions)
+        A.assemble()
+
+    def prescribe(self, x: PETSc.Vec) -> None:
+        """Put the prescribed values into a vector; local."""
+        fem_petsc.set_bc(x, self.conditions)
+
+
+def system(
+    potential: ufl.Form,
+    u: fem.Function,
+    supports: Iterable[Support] = (),
+    virtual_work: ufl.Form | None = None,
+) -> System:
+    """Compile a potential (or a residual) with its derivatives. Collective.
+
+    Args:
+        potential: Total potential [J], a functional of u; or a residual, a form linear in a test
+            function, where there is no potential at all.
+        u: Unknown.
+        supports: Prescribed displacements.
+        virtual_work: Linear form added to the residual, for loads without a potential.
+
+    Integrals without a quadrature degree get 2 k for displacements of degree k (3 k - 2 on
+    facets where that is more), the same in energy, residual and tangent, so that they are exact
+    derivatives of each other.
+
+    Raises:
+        ValueError: a form of the wrong kind, or one that does not contain u.
+    """
+    degree = _displacement_degree(u)
+    potential = with_quadrature(potential, degree)
+    is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
+    R = residual(potential, u) if is_energy else potential
+    if virtual_work is not None:
+        if len(virtual_work.arguments()) != 1:
+            raise ValueError(
+                "virtual_work must be linear in one test function, got a form with "
+                f"{len(virtual_work.arguments())}; add a load's potential to the potential instead."
+            )
+        R = R + with_quadrature(virtual_work, degree)
+    K = tangent(R, u)
+    energetic = is_energy and virtual_work is None
+    mixed = is_mixed(u.function_space)
+    return System(
+        u=u,
+        supports=tuple(supports),
+        minimization=energetic and not mixed,
+        symmetric=energetic,
+        _energy=fem.form(potential) if is_energy else None,
+        _residual=fem.form(R),
+        _tangent=fem.form(K),
+        _dependents=dependents(potential),
+    )
+
+
+def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
+    """The form with a quadrature degree on every integral that has none."""
+    if not isinstance(form, ufl.Form):
+        return form
+    integrals: list[Any] = []
+    for integral in form.integrals():
+        metadata = dict(integral.metadata())
+        cells = integral.integral_type() == "cell"
+        default = 2 * degree if cells else max(2 * degree, 3 * degree - 2)
+        metadata.setdefault("quadrature_degree", default)
+        integrals.append(integral.reconstruct(metadata=metadata))
+    return ufl.Form(integrals)
+
+
+def _displacement_degree(u: fem.Function) -> int:
+    V = u.function_space
+    element = V.sub(0).collapse()[0].ufl_element() if is_mixed(V) else V.ufl_element()
+    return max(1, element.embedded_superdegree)

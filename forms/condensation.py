@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""Plane stress of compressible energies: the thickness stretch condensed at quadrature points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from .kinematics import Expr, _dimension, _embed
+
+MAX_ITERATIONS = 50
+
+
+class ThicknessStretch(fem.Function):
+    """Stretch F33 of a sheet, the root of dpsi/dF33 = 0 at each quadrature point.
+
+    A function of the displacement: dF33[du] = - (d2psi/dF33 dF : DF[du]) / d2psi/dF33^2, by which
+    :func:`forms.derivative` differentiates through it. ``update`` runs Newton's method point by
+    point; a point where it does not converge becomes NaN, so that a solve refuses the state.
+    """
+
+    def __init__(self, u: fem.Function, psi: Callable[[Expr], Expr], degree: int) -> None:
+        mesh = u.function_space.mesh
+        Q = basix.ufl.quadrature_element(mesh.basix_cell(), degree=degree)
+        super().__init__(fem.functionspace(mesh, Q), name="thickness_stretch")
+        self.x.array[:] = 1
+        self.F = _embed(u, self)
+        P = ufl.diff(psi(self.F), self.F)
+        A = ufl.diff(P, self.F)
+        i, J = ufl.indices(2)
+        self._mixed = ufl.as_tensor(A[2, 2, i, J], (i, J))
+        self._slope = A[2, 2, 2, 2]
+        points = Q.custom_quadrature()[0]
+        self._newton = fem.Expression(ufl.as_vector([P[2, 2], self._slope]), points)
+        imap = mesh.topology.index_map(mesh.topology.dim)
+        self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+
+    def direction(self, unknown: fem.Function, du: Expr) -> Expr:
+        """Change of the thickness stretch when the displacement moves by du."""
+        return -ufl.inner(self._mixed, ufl.derivative(self.F, unknown, du)) / self._slope
+
+    def update(self) -> None:
+        """Solve dpsi/dF33 = 0 at every quadrature point; local."""
+        mesh = self.function_space.mesh
+        stretch = self.x.array.reshape(-1)
+        stretch[~np.isfinite(stretch)] = 1
+        where = self.function_space.dofmap.list.ravel()
+        for _ in range(MAX_ITERATIONS):
+            values = self._newton.eval(mesh, self._cells).reshape(-1, 2)
+            old = stretch[where]
+            step = -values[:, 0] / values[:, 1]
+            # The stretch stays positive: at most halved in one step. Away from the minimum the
+            # slope may be negative; the stress's sign then still tells the way.
+            step = np.where(values[:, 1] > 0, step, -np.sign(values[:, 0]) * old / 4)
+            step = np.clip(step, -old / 2, old)
+            stretch[where] = old + step
+            if not np.any(np.abs(step) > 1e-14 * np.abs(old)):
+                return
+        stretch[where[np.abs(step) > 1e-10 * np.abs(old)]] = np.nan
+
+
+def plane_stress(u: fem.Function, psi: Callable[[Expr], Expr], degree: int | None = None) -> Expr:
+    """Deformation gradient of a compressible sheet in plane stress.
+
+    F = [[I + grad u, 0], [0, F33]],  dpsi/dF33 = 0
+
+    Args:
+        u: In-plane displacement [m] on a plane mesh.
+        psi: Energy density [J/m^3] as a function of the 3x3 deformation gradient, as
+            ``lambda F: neo_hookean(F, mu, lmbda)``.
+        degree: Degree of the quadrature rule that the thickness stretch lives on and that the
+            potential must be integrated with; by default the one a solve uses, 2 k for
+            displacements of degree k.
+
+    Returns:
+        F, shape (3, 3), a ``ufl.variable``. Use it in psi(F) once more for the potential; the
+        residual and the tangent contain the change of F33 (static condensation).
+
+    Raises:
+        ValueError: u has not two components.
+    """
+    if _dimension(u, "plane_stress") != 2:
+        raise ValueError(f"plane_stress needs a plane displacement, got shape {u.ufl_shape}.")
+    if degree is None:
+        degree = 2 * u.function_space.element.basix_element.degree
+    return ThicknessStretch(u, psi, degree).F

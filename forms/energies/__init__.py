@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: MIT
+"""Energy densities: functions of a 3x3 deformation gradient that return psi [J/m^3]."""
+
+from .isotropic import (
+    isochoric_neo_hookean,
+    isotropic,
+    mooney_rivlin,
+    neo_hookean,
+    neo_hookean_quadratic,
+    saint_venant_kirchhoff,
+    stable_neo_hookean,
+    volumetric,
+    yeoh,
+)
+from .mixed import with_pressure
+from .moduli import bulk_modulus, lame_from_shear, lame_from_young
+from .transversely_isotropic import (
+    guccione,
+    transversely_isotropic_constants,
+    transversely_isotropic_constants_five,
+    transversely_isotropic_neo_hookean,
+)
+
+__all__ = [
+    "bulk_modulus",
+    "guccione",
+    "isochoric_neo_hookean",
+    "isotropic",
+    "lame_from_shear",
+    "lame_from_young",
+    "mooney_rivlin",
+    "neo_hookean",
+    "neo_hookean_quadratic",
+    "saint_venant_kirchhoff",
+    "stable_neo_hookean",
+    "transversely_isotropic_constants",
+    "transversely_isotropic_constants_five",
+    "transversely_isotropic_neo_hookean",
+    "volumetric",
+    "with_pressure",
+    "yeoh",
+]

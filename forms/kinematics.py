@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Deformation gradients of solids, plane and axisymmetric bodies, strains and invariants.
+
+Every deformation gradient is 3x3, whatever the dimension of the mesh, so that one energy serves all
+of them; it is a ``ufl.variable``, so that ``ufl.diff(psi, F)`` is the stress.
+Equation numbers are those of document 003.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+
+from . import _dolfinx
+
+Expr = Any  # UFL ships no types
+
+
+def deformation_gradient(u: Expr) -> Expr:
+    """Deformation gradient of a solid, or of a plane body in plane strain.
+
+    F = I + grad u  (1), (2);  plane strain: F = [[I + grad u, 0], [0, 1]]
+
+    Args:
+        u: Displacement [m], shape (3,) on a 3D mesh or (2,) on a plane one.
+
+    Returns:
+        F, shape (3, 3), a ``ufl.variable``.
+
+    Raises:
+        ValueError: u is no vector of two or three components.
+    """
+    dim = _dimension(u, "deformation_gradient")
+    if dim == 3:
+        return ufl.variable(ufl.Identity(3) + ufl.grad(u))
+    return _embed(u, 1)
+
+
+def axisymmetric(u: Expr) -> Expr:
+    """Deformation gradient of a body of revolution about the axis r = 0, without twist.
+
+    F = [[1 + u_r,r, u_r,z, 0], [u_z,r, 1 + u_z,z, 0], [0, 0, 1 + u_r / r]]
+
+    Integrate over the meridian plane with the weight :func:`circumference`, 2 pi r.
+
+    Args:
+        u: Displacement (u_r, u_z) [m] on a plane mesh of coordinates (r, z), r >= 0.
+
+    Returns:
+        F in the axes (r, z, hoop), shape (3, 3), a ``ufl.variable``. Quadrature points lie inside
+        cells, so r = 0 is never divided by.
+
+    Raises:
+        ValueError: u has not two components.
+    """
+    if _dimension(u, "axisymmetric") != 2:
+        raise ValueError(f"axisymmetric needs u = (u_r, u_z), got shape {u.ufl_shape}.")
+    r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
+    return _embed(u, 1 + u[0] / r)
+
+
+def circumference(u: Expr) -> Expr:
+    """Length of the circle through a point of the meridian plane, 2 pi r [m].
+
+    ``psi * circumference(u) * dx`` is the energy [J] of the whole body of revolution.
+    """
+    return 2 * np.pi * ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
+
+
+def plane_stress_incompressible(u: Expr) -> Expr:
+    """Deformation gradient of an incompressible sheet in plane stress.
+
+    F = [[I + grad u, 0], [0, 1 / det(I + grad u)]], so that det F = 1 and no pressure is needed.
+
+    Args:
+        u: In-plane displacement [m], shape (2,).
+
+    Returns:
+        F, shape (3, 3), a ``ufl.variable``; energies are per reference volume, integrate over the
+        plane times the thickness. For compressible energies see :func:`forms.plane_stress`.
+
+    Raises:
+        ValueError: u has not two components.
+    """
+    if _dimension(u, "plane_stress_incompressible") != 2:
+        raise ValueError(
+            f"plane_stress_incompressible needs a plane displacement, got shape {u.ufl_shape}."
+        )
+    return _embed(u, 1 / ufl.det(ufl.Identity(2) + ufl.grad(u)))
+
+
+def right_cauchy_green(F: Expr) -> Expr:
+    """Right Cauchy-Green tensor C = F^T F (3)."""
+    return F.T * F
+
+
+def left_cauchy_green(F: Expr) -> Expr:
+    """Left Cauchy-Green tensor b = F F^T (4)."""
+    return F * F.T
+
+
+def volume_ratio(F: Expr) -> Expr:
+    """Volume ratio J = det F = dv / dV."""
+    return ufl.det(F)
+
+
+def isochoric(F: Expr) -> Expr:
+    """Volume-preserving part J^(-1/3) F of a 3x3 deformation gradient; NaN where J < 0."""
+    return ufl.det(F) ** (-1 / 3) * F
+
+
+def green_strain(F: Expr) -> Expr:
+    """Green (Lagrangian) strain E = 1/2 (C - I) (5)."""
+    return (right_cauchy_green(F) - ufl.Identity(3)) / 2
+
+
+def almansi_strain(F: Expr) -> Expr:
+    """Almansi (Eulerian) strain e = 1/2 (I - b^-1) (5)."""
+    return (ufl.Identity(3) - ufl.inv(left_cauchy_green(F))) / 2
+
+
+def spatial_product(F: Expr, dX1: Expr, dX2: Expr) -> Expr:
+    """Product dx1 . dx2 = dX1 . C dX2 of two deformed line elements (3), from the material ones."""
+    return ufl.dot(F * dX1, F * dX2)
+
+
+def material_product(F: Expr, dx1: Expr, dx2: Expr) -> Expr:
+    """Product dX1 . dX2 = dx1 . b^-1 dx2 of two material line elements (4), from the deformed."""
+    return ufl.dot(dx1, ufl.inv(left_cauchy_green(F)) * dx2)
+
+
+def invariants(F: Expr) -> tuple[Expr, Expr, Expr]:
+    """Invariants of C as document 003 defines them (13).
+
+    I = tr C,  II = C : C,  III = det C = J^2.
+
+    II is not the classical second invariant, which is (I^2 - II) / 2.
+    """
+    C = right_cauchy_green(F)
+    return ufl.tr(C), ufl.inner(C, C), ufl.det(F) ** 2
+
+
+def deformed_fiber(F: Expr, A: Expr) -> Expr:
+    """Deformed fiber a = F A; |a| is its stretch when A is a unit vector."""
+    return F * A
+
+
+def fiber_invariants(F: Expr, A: Expr) -> tuple[Expr, Expr]:
+    """Pseudo-invariants of C for the fiber A (22): IV = A . C A = a . a,  V = A . C^2 A.
+
+    Args:
+        F: Deformation gradient, shape (3, 3).
+        A: Unit fiber direction in the reference body, shape (3,); its length is not checked.
+
+    Raises:
+        ValueError: A is no vector of three components.
+    """
+    if A.ufl_shape != (3,):
+        raise ValueError(
+            f"a fiber direction has 3 components, also on a plane mesh; got shape {A.ufl_shape}."
+        )
+    a = deformed_fiber(F, A)
+    Ca = F.T * a
+    return ufl.dot(a, a), ufl.dot(Ca, Ca)
+
+
+def _dimension(u: Expr, name: str) -> int:
+    """Number of components of a displacement, after checking it against the mesh."""
+    if u.ufl_shape not in ((2,), (3,)):
+        raise ValueError(
+            f"{name} needs a displacement with 2 or 3 components, got shape {u.ufl_shape}; "
+            "for a mixed unknown w pass u, p = ufl.split(w)."
+        )
+    dim = u.ufl_shape[0]
+    mesh_dim = _dolfinx.geometric_dimension(ufl.domain.extract_unique_domain(u))
+    if dim != mesh_dim:
+        raise ValueError(f"{name} needs {mesh_dim} components on this mesh, got {dim}.")
+    return dim
+
+
+def _embed(u: Expr, F33: Expr) -> Expr:
+    G = ufl.grad(u)
+    return ufl.variable(
+        ufl.as_matrix([[1 + G[0, 0], G[0, 1], 0], [G[1, 0], 1 + G[1, 1], 0], [0, 0, F33]])
+    )

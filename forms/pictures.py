@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: MIT
+"""Pictures of deformed bodies by pyvista, off-screen, from any number of ranks."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import subprocess
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, plot
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from .kinematics import Expr
+from .results import displacement_of
+
+
+def picture(
+    shown: Any,
+    filename: str | FilePath,
+    field: Expr | None = None,
+    label: str = "|u|",
+    *,
+    view: tuple[float, float, float] | None = None,
+    title: str = "",
+    scale: float = 1.0,
+    reference: bool = True,
+    size: tuple[int, int] = (1200, 800),
+) -> None:
+    """Draw the deformed body, colored by a scalar field, into a PNG. Collective; rank 0 draws.
+
+    Args:
+        shown: Path, or an unknown (for a mixed one its displacement is shown).
+        filename: PNG file.
+        field: UFL scalar to color by; by default the displacement's magnitude.
+        label: Text of the color bar, with the unit.
+        view: Direction from the body to the camera; by default from the front right above in 3D,
+            along z for plane bodies.
+        title: Text above the picture.
+        scale: Factor on the displacement.
+        reference: Show the outline of the reference body.
+        size: Width and height in pixels.
+
+    Raises:
+        ValueError: the field is no scalar, or the name does not end in .png.
+        RuntimeError: no display can be made (Xvfb is not installed).
+    """
+    if FilePath(filename).suffix != ".png":
+        raise ValueError(f"a picture needs a name that ends in .png, got {filename}.")
+    u = displacement_of(getattr(shown, "u", shown))
+    color = ufl.sqrt(ufl.inner(u, u)) if field is None else field
+    if ufl.as_ufl(color).ufl_shape != ():
+        raise ValueError(f"a picture is colored by a scalar, got shape {color.ufl_shape}.")
+    parts = u.function_space.mesh.comm.gather(_part(u, color), root=0)
+    if parts is None:
+        return
+    dim = u.function_space.mesh.topology.dim
+    _draw(_merge(parts), filename, label, view, title, scale, reference, size, dim)
+
+
+def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
+    """This rank's owned cells: VTK connectivity, types, points, displacements, colors."""
+    mesh, degree = u.function_space.mesh, u.function_space.ufl_element().embedded_superdegree
+    V = fem.functionspace(mesh, ("Discontinuous Lagrange", degree, (mesh.geometry.dim,)))
+    Q = fem.functionspace(mesh, ("Discontinuous Lagrange", degree))
+    moved, c = fem.Function(V), fem.Function(Q)
+    moved.interpolate(u)
+    c.interpolate(fem.Expression(color, _dolfinx.interpolation_points(Q)))
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    cells, types, points = plot.vtk_mesh(Q, owned)
+    d = np.zeros((len(points), 3))
+    d[:, : mesh.geometry.dim] = moved.x.array.reshape(-1, mesh.geometry.dim)
+    return cells, types, points, d, c.x.array.copy()
+
+
+def _merge(parts: list[tuple[NDArray, ...]]) -> Any:
+    """One grid of all ranks' cells; values at coinciding nodes are averaged."""
+    import pyvista
+
+    cells, offset = [], 0
+    for connectivity, _, points, _, _ in parts:
+        shifted = connectivity.copy()
+        position = 0
+        while position < len(shifted):
+            n = shifted[position]
+            shifted[position + 1 : position + 1 + n] += offset
+            position += n + 1
+        cells.append(shifted)
+        offset += len(points)
+    points = np.concatenate([p[2] for p in parts])
+    size = np.ptp(points, axis=0).max()
+    keys = np.round(points / (1e-7 * size)).astype(np.int64)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.ravel()
+    connectivity = np.concatenate(cells)
+    position = 0
+    while position < len(connectivity):
+        n = connectivity[position]
+        block = slice(position + 1, position + 1 + n)
+        connectivity[block] = inverse[connectivity[block]]
+        position += n + 1
+    count = np.bincount(inverse)
+    grid = pyvista.UnstructuredGrid(
+        connectivity, np.concatenate([p[1] for p in parts]), points[first]
+    )
+    d, c = np.concatenate([p[3] for p in parts]), np.concatenate([p[4] for p in parts])
+    grid["u"] = np.stack([np.bincount(inverse, d[:, i]) / count for i in range(3)], axis=1)
+    grid["color"] = np.bincount(inverse, c) / count
+    return grid
+
+
+def _draw(
+    grid: Any,
+    filename: str | FilePath,
+    label: str,
+    view: tuple[float, float, float] | None,
+    title: str,
+    scale: float,
+    reference: bool,
+    size: tuple[int, int],
+    dim: int,
+) -> None:
+    import pyvista
+
+    _ensure_display()
+    FilePath(filename).parent.mkdir(parents=True, exist_ok=True)
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
+    plotter.set_background("white")
+    deformed = grid.copy()
+    deformed.points = grid.points + scale * grid["u"]
+    # Curved cells are drawn by flat pieces; two halvings are smooth to the eye.
+    surface = deformed.extract_surface(nonlinear_subdivision=2)
+    bar = {
+        "title": label + "\n",
+        "vertical": True,
+        "position_x": 0.86,
+        "position_y": 0.2,
+        "height": 0.6,
+        "width": 0.06,
+        "color": "black",
+        "title_font_size": 22,
+        "label_font_size": 20,
+        "fmt": "%.3g",
+        "n_labels": 5,
+    }
+    plotter.add_mesh(surface, scalars="color", cmap="viridis", scalar_bar_args=bar)
+    edges = surface.extract_feature_edges(40, boundary_edges=True, non_manifold_edges=False)
+    if edges.n_points:
+        plotter.add_mesh(edges, color="black", line_width=1.5)
+    if reference:
+        outline = grid.extract_surface(nonlinear_subdivision=2).extract_feature_edges(40)
+        if outline.n_points:
+            plotter.add_mesh(outline, color="gray", line_width=1.5, opacity=0.6)
+    if title:
+        plotter.add_text(title, position="upper_edge", font_size=12, color="black")
+    direction = view or ((0.0, 0.0, 1.0) if dim == 2 else (1.0, -2.0, 1.0))
+    up = (0, 1, 0) if abs(direction[2]) == np.linalg.norm(direction) else (0, 0, 1)
+    plotter.view_vector(direction, viewup=up)
+    if dim == 2:
+        plotter.enable_parallel_projection()
+    plotter.camera.zoom(0.9)
+    plotter.screenshot(str(filename))
+    # Close before the display ends, or X reports a fatal error at exit.
+    plotter.close()
+
+
+def _ensure_display() -> None:
+    """Start Xvfb if there is no display: VTK as Debian builds it draws through X only."""
+    if os.environ.get("DISPLAY") or os.name != "posix":
+        return
+    if shutil.which("Xvfb") is None:
+        raise RuntimeError(
+            "a picture needs a display or Xvfb, found neither: apt-get install xvfb, or run "
+            "through docker/enter."
+        )
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"],
+        pass_fds=(write,),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for us; the server ends with us all the same.
+    )
+    os.close(write)
+    with open(read) as pipe:
+        # Up to the newline: Xvfb writes twice and dies of SIGPIPE if the pipe closes in between.
+        number = pipe.readline().strip()
+    if not number:
+        raise RuntimeError("Xvfb did not start; run it by hand to see why.")
+    os.environ["DISPLAY"] = f":{number}"
+    atexit.register(server.terminate)

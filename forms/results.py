@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""Numbers read off a solution: reactions, values at points, volume, smallest J. All collective."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import basix
+import numpy as np
+import ufl
+from dolfinx import fem, geometry
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from .assembly import System
+from .kinematics import Expr
+from .supports import is_mixed
+
+Array = NDArray[np.float64]
+
+
+def resultant(
+    system: System, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
+) -> tuple[Array, Array]:
+    """Force and moment that a support exerts on the body through a boundary.
+
+    force = sum_a R_a,  moment = sum_a (X_a + u_a - c) x R_a  over the boundary's nodes a
+
+    R is the residual without boundary conditions, so the resultants are consistent: they balance
+    the loads to rounding, and converge twice as fast as integrated stresses. A node on the edge of
+    two supports counts for both.
+
+    Args:
+        system: System at a converged state, as ``path.system``.
+        facets: Local facet indices of the boundary.
+        about: Point c that the moment is taken about [m].
+
+    Returns:
+        Force [N] and moment [N m], shape (3,) each, alike on all ranks. On a plane mesh the third
+        force and the first two moments are 0, and both are per unit thickness.
+    """
+    V = system.u.function_space
+    b = system.create_vector()
+    system.residual(b)
+    view = V.sub(0) if is_mixed(V) else V
+    W, numbers = (view.collapse() if is_mixed(V) else (V, None))
+    dim = W.mesh.geometry.dim
+    nodes = _owned_nodes(W, facets)
+    dofs = nodes[:, None] * dim + np.arange(dim)
+    parent = dofs if numbers is None else np.asarray(numbers)[dofs]
+    R, x = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 3))
+    R[:, :dim] = b.array_r[parent]
+    x[:] = W.tabulate_dof_coordinates()[nodes]
+    x[:, :dim] += system.u.x.array[parent]
+    x -= np.asarray(about, float)
+    local = np.concatenate([R.sum(axis=0), np.cross(x, R).sum(axis=0)])
+    total = system.comm.allreduce(local)
+    return total[:3], total[3:]
+
+
+def at(f: fem.Function | tuple[Expr, Any], point: Sequence[float], tolerance: float = 1e-8) -> Array:
+    """Value of a function at a point of the reference body, alike on all ranks.
+
+    Args:
+        f: Function, as a displacement or the outcome of :func:`field`; for a mixed unknown its
+            ``displacement_of(w)``.
+        point: Coordinates in the reference body [m].
+        tolerance: Distance from the mesh, relative to its size, at which a point still counts as
+            on it (curved boundaries, rounding).
+
+    Returns:
+        Value, shape of the function (a scalar has shape (1,)).
+
+    Raises:
+        ValueError: the point lies outside the mesh.
+    """
+    mesh = f.function_space.mesh
+    x = np.zeros((1, 3))
+    x[0, : len(point)] = point
+    cell, distance = _closest_cell(mesh, x)
+    nearest, rank = mesh.comm.allreduce((distance, mesh.comm.rank), MPI.MINLOC)
+    size = mesh.comm.allreduce(float(np.abs(mesh.geometry.x).max(initial=0.0)), MPI.MAX)
+    if nearest > tolerance * size:
+        raise ValueError(
+            f"the point {tuple(float(c) for c in point)} lies {nearest:.3g} outside the mesh; "
+            "give reference coordinates."
+        )
+    value = f.eval(x, [cell]) if mesh.comm.rank == rank else None
+    return np.atleast_1d(mesh.comm.bcast(value, root=rank))
+
+
+def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
+    """An expression as a function of discontinuous Lagrange elements, by interpolation.
+
+    Args:
+        expression: UFL scalar, vector or tensor, as ``stress.cauchy(psi, F)``.
+        mesh: Mesh.
+        degree: Degree of the elements; 0 takes the value at the middle of a cell.
+        name: Name for files and pictures.
+    """
+    shape = ufl.as_ufl(expression).ufl_shape
+    element = ("Discontinuous Lagrange", degree, shape) if shape else ("Discontinuous Lagrange", degree)
+    f = fem.Function(fem.functionspace(mesh, element), name=name)
+    f.interpolate(fem.Expression(expression, _dolfinx.interpolation_points(f.function_space)))
+    f.x.scatter_forward()
+    return f
+
+
+def displacement_of(u: fem.Function) -> fem.Function:
+    """The displacement of an unknown: u itself, or a copy of the first part of a mixed one."""
+    if not is_mixed(u.function_space):
+        return u
+    f = u.sub(0).collapse()
+    f.name = "displacement"
+    return f
+
+
+def integral(form: ufl.Form) -> float:
+    """Value of a functional, summed over all ranks."""
+    compiled = fem.form(form)
+    return float(compiled.mesh.comm.allreduce(fem.assemble_scalar(compiled)))
+
+
+def volume(F: Expr, dx: ufl.Measure) -> float:
+    """Deformed volume int J dV [m^3]; on a plane mesh per unit thickness."""
+    return integral(ufl.det(F) * dx)
+
+
+def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
+    """Smallest J = det F over the quadrature points of all cells.
+
+    Args:
+        F: Deformation gradient.
+        mesh: Mesh.
+        degree: Degree of the quadrature rule whose points are looked at.
+    """
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    points, _ = basix.make_quadrature(cell, degree)
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    values = fem.Expression(ufl.det(F), points).eval(mesh, owned)
+    return float(mesh.comm.allreduce(float(np.min(values, initial=np.inf)), MPI.MIN))
+
+
+def _owned_nodes(W: fem.FunctionSpace, facets: NDArray[np.int32]) -> NDArray[np.int32]:
+    nodes = fem.locate_dofs_topological(W, W.mesh.topology.dim - 1, facets)
+    return nodes[nodes < W.dofmap.index_map.size_local]
+
+
+def _closest_cell(mesh: Any, x: Array) -> tuple[int, float]:
+    """Nearest owned cell to a point, and its distance; local."""
+    dim = mesh.topology.dim
+    owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    if not len(owned):
+        return -1, np.inf
+    tree = geometry.bb_tree(mesh, dim, owned)
+    middles = geometry.create_midpoint_tree(mesh, dim, owned)
+    found = geometry.compute_collisions_points(tree, x)
+    inside = geometry.compute_colliding_cells(mesh, found, x).links(0)
+    if len(inside):
+        return int(inside[0]), 0.0
+    cell = geometry.compute_closest_entity(tree, middles, mesh, x)
+    distance = float(np.sqrt(geometry.squared_distance(mesh, dim, cell, x)[0]))
+    return int(cell[0]), distance

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: MIT
+"""Solving: Newton by PETSc SNES, linear presets, load paths."""
+
+from .continuation import Path, Step, follow, solve
+from .newton import Convergence, Newton, NotConverged
+
+__all__ = ["Convergence", "Newton", "NotConverged", "Path", "Step", "follow", "solve"]

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: MIT
+"""Solving at one load, and following a load path with adaptive steps."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from tqdm import tqdm
+
+from ..assembly import System, system
+from ..supports import Support
+from .newton import Convergence, Newton, NotConverged
+
+
+@dataclass(frozen=True)
+class Step:
+    """One converged load step: the load factor, how Newton went, what was recorded."""
+
+    load: float
+    convergence: Convergence
+    records: dict[str, Any]
+
+
+@dataclass(eq=False)
+class Path:
+    """Outcome of a solve: the unknown at the last converged load, and how it got there.
+
+    Attributes:
+        u: Unknown, holding the last converged state.
+        system: Compiled system, for reactions and further solves.
+        steps: Converged load steps in order.
+        refused: Load steps that were tried and halved.
+        reason: One sentence on why the path ended.
+        completed: Whether the last load asked for was reached.
+        seconds: Wall time of the path [s].
+    """
+
+    u: fem.Function
+    system: System
+    steps: list[Step] = field(default_factory=list)
+    refused: int = 0
+    reason: str = ""
+    completed: bool = False
+    seconds: float = 0.0
+
+    @property
+    def load(self) -> float:
+        """Last converged load factor."""
+        return self.steps[-1].load if self.steps else 0.0
+
+    def record(self, name: str) -> np.ndarray:
+        """A recorded quantity over the steps, shape (steps, ...)."""
+        return np.array([step.records[name] for step in self.steps])
+
+
+def solve(
+    potential: ufl.Form,
+    u: fem.Function,
+    supports: Iterable[Support] = (),
+    *,
+    virtual_work: ufl.Form | None = None,
+    options: Mapping[str, Any] | None = None,
+    prefix: str = "variform_",
+    rtol: float = 1e-8,
+    ctol: float = 1e-6,
+    record: Mapping[str, Callable[[System], Any]] | None = None,
+) -> Path:
+    """Solve for u at the present loads, in one step from its present values. Collective.
+
+    Args:
+        potential: Total potential [J] (or a residual, linear in a test function).
+        u: Unknown; holds the solution afterwards, or its old values if the solve fails.
+        supports: Prescribed displacements.
+        virtual_work: Linear form added to the residual, for loads without a potential.
+        options: PETSc options over the presets, without prefix, as ``{"snes_max_it": 50}``.
+        prefix: Prefix of the options on the command line, which wins over ``options``.
+        rtol: Tolerance of |R_free| relative to the force level, see :class:`Newton`.
+        ctol: Tolerance of the last correction relative to the model's size.
+        record: Functions of the system, evaluated at the solution; collective.
+
+    Returns:
+        Path of one step.
+
+    Raises:
+        NotConverged: Newton's method failed; u has its old values.
+        ValueError: forms or supports of the wrong kind.
+    """
+    problem = system(potential, u, supports, virtual_work)
+    newton = Newton(problem, options, prefix, rtol, ctol)
+    path, start = Path(u, problem), time.perf_counter()
+    before = u.x.array.copy()
+    outcome = _attempt(newton)
+    path.seconds = time.perf_counter() - start
+    if not outcome.converged:
+        u.x.array[:] = before
+        raise _failure(path, f"{outcome.sentence()}. {_advice(prefix)}")
+    path.steps.append(Step(1.0, outcome, _recorded(record, problem)))
+    path.completed, path.reason = True, outcome.sentence() + "."
+    return path
+
+
+def follow(
+    potential: ufl.Form,
+    u: fem.Function,
+    supports: Iterable[Support],
+    t: fem.Constant,
+    to: float = 1.0,
+    *,
+    step: float | None = None,
+    min_step: float | None = None,
+    max_step: float | None = None,
+    virtual_work: ufl.Form | None = None,
+    options: Mapping[str, Any] | None = None,
+    prefix: str = "variform_",
+    rtol: float = 1e-8,
+    ctol: float = 1e-6,
+    record: Mapping[str, Callable[[System], Any]] | None = None,
+    on_step: Callable[[Path], None] | None = None,
+    progress: bool = True,
+) -> Path:
+    """Follow the solution while the load factor goes from its present value to a last one.
+
+    A step that fails is halved and tried again from the last converged state; a step that took few
+    iterations lets the next one grow by half. Collective.
+
+    Args:
+        potential: Total potential [J] (or a residual, linear in a test function).
+        u: Unknown, starting from its present values.
+        supports: Prescribed displacements, which may depend on t.
+        t: Load factor that the potential and the supports were written with.
+        to: Last load factor.
+        step: First step of t; by default a tenth of the way.
+        min_step: Smallest step; by default 1/1000 of the way.
+        max_step: Largest step; by default twice the first.
+        virtual_work: Linear form added to the residual, for loads without a potential.
+        options: PETSc options over the presets, without prefix.
+        prefix: Prefix of the options on the command line, which wins over ``options``.
+        rtol: Tolerance of |R_free| relative to the force level, see :class:`Newton`.
+        ctol: Tolerance of the last correction relative to the model's size.
+        record: Functions of the system, evaluated after each step and kept in the path; collective.
+        on_step: Called with the path after each step, as a :class:`forms.VTX` writer.
+        progress: Show a progress bar on rank 0.
+
+    Returns:
+        Path with all steps.
+
+    Raises:
+        NotConverged: the step became smaller than min_step; u and t hold the last converged state,
+            and the exception's ``path`` the steps so far.
+        ValueError: forms or supports of the wrong kind, or steps that are not positive.
+    """
+    way = to - float(t.value)
+    first, least, most = _steps(way, step, min_step, max_step)
+    problem = system(potential, u, supports, virtual_work)
+    newton = Newton(problem, options, prefix, rtol, ctol)
+    path, start = Path(u, problem), time.perf_counter()
+    done, ahead, begin = 0.0, first, float(t.value)
+    earlier: tuple[np.ndarray, float] | None = None
+    bar = tqdm(
+        total=1.0,
+        desc="load",
+        bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}",
+        file=sys.stderr,
+        disable=not progress or problem.comm.rank != 0,
+    )
+    with bar:
+        while done < abs(way):
+            # A remainder that is only rounding would become a step of its own.
+            ahead = abs(way) - done if abs(way) - done < ahead * (1 + 1e-9) else ahead
+            before = u.x.array.copy()
+            t.value = to if done + ahead >= abs(way) else begin + np.sign(way) * (done + ahead)
+            if earlier is not None:
+                _extrapolate(problem, earlier[0], ahead / earlier[1])
+            outcome = _attempt(newton)
+            if outcome.converged:
+                done += ahead
+                earlier = (before, ahead)
+                path.steps.append(Step(float(t.value), outcome, _recorded(record, problem)))
+                bar.update(min(done / abs(way), 1.0) - bar.n)
+                bar.set_postfix_str(f"t = {float(t.value):.4g}, {outcome.iterations} iterations")
+                if on_step is not None:
+                    on_step(path)
+                ahead = min(most, 1.5 * ahead) if outcome.iterations <= 5 else ahead
+                continue
+            path.refused += 1
+            u.x.array[:] = before
+            t.value = begin + np.sign(way) * done
+            ahead /= 2
+            bar.set_postfix_str(f"step halved to {ahead:.3g} ({outcome.reason})")
+            if ahead < least:
+                path.seconds = time.perf_counter() - start
+                for support in problem.supports:
+                    support.update()
+                problem.update_dependents()
+                raise _failure(
+                    path,
+                    f"{outcome.sentence()}, at load factor {float(t.value):.6g} even for a step of "
+                    f"{2 * ahead:.3g}. The last converged state is kept. {_advice(prefix)}",
+                )
+    path.seconds = time.perf_counter() - start
+    path.completed = True
+    path.reason = (
+        f"Load factor {float(t.value):.6g} reached in {len(path.steps)} steps "
+        f"({path.refused} refused), {sum(s.convergence.iterations for s in path.steps)} iterations."
+    )
+    return path
+
+
+def _attempt(newton: Newton) -> Convergence:
+    """One Newton solve at the present load, boundary values carried along first."""
+    for support in newton.system.supports:
+        support.update()
+    newton.predict()
+    return newton.solve()
+
+
+def _extrapolate(problem: System, earlier: np.ndarray, ratio: float) -> None:
+    """Move u on along the line through the last two states, if the energy stays finite there."""
+    u = problem.u.x.array
+    last = u.copy()
+    u += ratio * (last - earlier)
+    if problem.has_energy and not np.isfinite(problem.energy()):
+        u[:] = last
+
+
+def _steps(
+    way: float, step: float | None, least: float | None, most: float | None
+) -> tuple[float, float, float]:
+    first = abs(way) / 10 if step is None else step
+    least = abs(way) / 1000 if least is None else least
+    most = 2 * first if most is None else most
+    if not (np.isfinite(way) and first > 0 and least > 0 and most > 0) and way != 0:
+        raise ValueError(
+            f"load steps must be positive and finite, got step = {step}, min_step = {least}, "
+            f"max_step = {most} over a way of {way}."
+        )
+    return first, min(least, first), max(most, first)
+
+
+def _recorded(record: Mapping[str, Callable] | None, problem: System) -> dict[str, Any]:
+    return {name: function(problem) for name, function in (record or {}).items()}
+
+
+def _advice(prefix: str) -> str:
+    return f"Try smaller load steps; -{prefix}snes_monitor shows each iteration."
+
+
+def _failure(path: Path, sentence: str) -> NotConverged:
+    path.reason = sentence
+    error = NotConverged(sentence)
+    error.path = path
+    return error

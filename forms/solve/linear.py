@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Linear solver presets, chosen by size, dimension and symmetry; PETSc options override them."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+from ..assembly import System
+
+# Measured with OpenBLAS: in 3D a factorization is faster than multigrid up to 10-20 thousand
+# degrees of freedom, in the plane at every size tried (100 thousand).
+DIRECT_UP_TO = 20_000
+
+
+def direct(symmetric: bool) -> dict[str, str]:
+    """MUMPS: LDL^T (which takes indefinite tangents) if symmetric, else LU."""
+    return {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky" if symmetric else "lu",
+        "pc_factor_mat_solver_type": "mumps",
+        "mat_mumps_icntl_14": "60",
+    }
+
+
+def multigrid() -> dict[str, str]:
+    """CG with smoothed aggregation on the rigid body modes, Gauss-Seidel smoothing."""
+    return {
+        "ksp_type": "cg",
+        "ksp_rtol": "1e-5",
+        "ksp_max_it": "500",
+        "pc_type": "gamg",
+        "mg_levels_ksp_type": "richardson",
+        "mg_levels_ksp_max_it": "1",
+        "mg_levels_pc_type": "sor",
+    }
+
+
+def preset(system: System) -> dict[str, str]:
+    """Options for a system's tangent.
+
+    Multigrid for symmetric displacement problems in 3D above 20 thousand degrees of freedom,
+    else MUMPS.
+    """
+    dim = system.u.function_space.mesh.geometry.dim
+    if dim == 3 and system.minimization and system.size > DIRECT_UP_TO:
+        return multigrid()
+    return direct(system.symmetric)
+
+
+def rigid_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
+    """Rigid translations and rotations of a vector space, orthonormal. Collective."""
+    dim = V.mesh.geometry.dim
+    x = V.tabulate_dof_coordinates()
+    modes = []
+    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    for n in range(dim + len(planes)):
+        mode = fem.Function(V)
+        values = mode.x.array.reshape(-1, dim)
+        if n < dim:
+            values[:, n] = 1
+        else:
+            i, j = planes[n - dim]
+            values[:, i], values[:, j] = -x[:, j], x[:, i]
+        modes.append(mode.x.petsc_vec.copy())
+    for n, mode in enumerate(modes):
+        for other in modes[:n]:
+            mode.axpy(-mode.dot(other), other)
+        mode.normalize()
+    return PETSc.NullSpace().create(vectors=modes, comm=V.mesh.comm)
+
+
+def largest_diagonal(A: PETSc.Mat, skip: np.ndarray) -> float:
+    """Largest |A_ii| over rows that are not skipped (local numbers), on all ranks."""
+    d = A.getDiagonal()
+    d.abs()
+    d.array[skip] = 0
+    return float(d.max()[1])

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: MIT
+"""Newton's method by PETSc SNES, with the energy as its objective and named, unit-free norms."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from ..assembly import System
+from ..supports import is_mixed
+from . import linear
+
+EPS = float(np.finfo(float).eps)
+
+REASONS = {
+    -1: "the function domain was left",
+    -3: "the linear solver failed",
+    -4: "the residual is not finite",
+    -5: "the iterations were used up",
+    -6: "the line search found no lower value",
+    -8: "a local minimum of the residual was reached",
+    -9: "the residual grew too large",
+    -11: "the trust region became too small",
+}
+
+
+class NotConverged(RuntimeError):
+    """A solve that did not reach its tolerances; the unknown holds the last converged state."""
+
+    path: Any = None
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How a Newton solve ended.
+
+    Attributes:
+        converged: Whether both tolerances were reached.
+        reason: Why it stopped, in words.
+        code: PETSc's SNESConvergedReason.
+        iterations: Newton iterations.
+        linear_iterations: Iterations of the linear solver in all.
+        residual: Norm of the out-of-balance forces at free degrees of freedom [N].
+        force_level: Force [N] that the residual is compared with.
+        correction: Largest last change of a displacement component [m].
+    """
+
+    converged: bool
+    reason: str
+    code: int
+    iterations: int
+    linear_iterations: int
+    residual: float
+    force_level: float
+    correction: float
+
+    def sentence(self) -> str:
+        """One sentence: outcome, iterations, norms."""
+        verb = "converged" if self.converged else "stopped"
+        return (
+            f"SNES {verb} after {self.iterations} iterations ({self.reason}), "
+            f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}, "
+            f"last correction {self.correction:.1e}"
+        )
+
+
+class Newton:
+    """SNES on a system, reused from load step to load step.
+
+    Converged means |R_free| <= rtol * force level and max |du| <= ctol * model size. R_free are the
+    out-of-balance forces where nothing is prescribed; the force level is the larger of the
+    reactions' norm and of the imbalance that the load increment made, with the rounding error of
+    the forces, eps * max|K_ii| * model size * sqrt(n), as its floor.
+
+    Where the problem is a minimization the line search lowers the energy, otherwise |R|. States
+    with an energy or residual that is not finite are refused by it. If lowering the energy fails
+    (near the solution its differences drown in rounding) the same state goes on with |R|; if the
+    multigrid preset fails, with MUMPS.
+
+    Args:
+        system: What to solve.
+        options: PETSc options without prefix, over the presets; the command line wins over both.
+        prefix: Prefix of the options, as in ``-variform_snes_monitor``.
+        rtol: Tolerance of the residual.
+        ctol: Tolerance of the last correction, relative to the model's size.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        options: Mapping[str, Any] | None = None,
+        prefix: str = "variform_",
+        rtol: float = 1e-8,
+        ctol: float = 1e-6,
+    ) -> None:
+        self.system, self.rtol, self.ctol = system, rtol, ctol
+        self.prefix = prefix
+        self.A, self.b = system.create_matrix(), system.create_vector()
+        self.x = self.b.duplicate()
+        self._x_before = self.b.duplicate()
+        self._user = {**(options or {}), **_command_line(prefix)}
+        self._preset = linear.preset(system)
+        self._imbalance: float | None = None
+        self._reactions, self._rounding, self._correction = 0.0, 0.0, np.inf
+        self._last = (np.inf, 0.0)
+        self._size = _model_size(system)
+        self._displacements = _displacement_dofs(system)
+        if system.minimization:
+            self.A.setNearNullSpace(linear.rigid_modes(system.u.function_space))
+        self._build(self._preset)
+
+    def _build(self, preset: Mapping[str, str]) -> None:
+        """Make the SNES: ``snes``, and ``_by_residual``, the same without the energy."""
+        self.snes = self._by_residual = self._create(preset)
+        if self.system.minimization:
+            # An objective once set cannot be taken back.
+            self._by_residual = self._create(preset)
+            self.snes.setObjective(self._objective)
+
+    def _create(self, preset: Mapping[str, str]) -> PETSc.SNES:
+        snes = PETSc.SNES().create(self.system.comm)
+        snes.setOptionsPrefix(self.prefix)
+        snes.setFunction(self._residual, self.b.duplicate())
+        snes.setJacobian(self._tangent, self.A)
+        snes.setConvergenceTest(self._test)
+        base = {
+            "snes_type": "newtonls",
+            "snes_linesearch_type": "bt",
+            "snes_max_it": "30",
+            "snes_divergence_tolerance": "-1",
+        }
+        database = PETSc.Options()
+        for key, value in {**base, **preset, **self._user}.items():
+            database[self.prefix + key] = value
+        snes.setFromOptions()
+        return snes
+
+    def solve(self) -> Convergence:
+        """Newton iterations from u's present values, supports applied; u is left at the last one.
+
+        Collective. Call :meth:`predict` first when prescribed values have changed.
+        """
+        system = self.system
+        if self._imbalance is None:
+            self.measure_imbalance()
+        self._get(self.x)
+        system.prescribe(self.x)
+        self._put(self.x)
+        if self._rounding == 0:
+            system.tangent(self.A)
+            diagonal = linear.largest_diagonal(self.A, system.constrained)
+            self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
+        outcome = self._run(system.minimization)
+        if outcome.code == -3 and "gamg" in self._preset.values() and "pc_type" not in self._user:
+            self._preset = linear.direct(system.symmetric)
+            for key in linear.multigrid():
+                PETSc.Options().delValue(self.prefix + key)
+            self._build(self._preset)
+            outcome = self._run(system.minimization, outcome)
+        if outcome.code == -6 and system.minimization:
+            outcome = self._run(False, outcome)
+        self._imbalance = None
+        return outcome
+
+    def predict(self) -> None:
+        """Move u by one tangent solve that carries the prescribed values to the present load.
+
+        K du = -R at free degrees of freedom, du = prescribed - u at the others, so that SNES
+        afterwards starts from exact boundary values and its residuals are forces only. Collective.
+        """
+        system = self.system
+        self.measure_imbalance()
+        self._get(self.x)
+        jump = self.x.copy()
+        system.prescribe(jump)
+        jump.axpy(-1, self.x)
+        if jump.norm(PETSc.NormType.INFINITY) == 0:
+            return
+        system.lifted_residual(self.b)
+        self.b.scale(-1)
+        self.b.array[system.constrained] = jump.array_r[system.constrained]
+        system.tangent(self.A)
+        du, ksp = self.b.duplicate(), self.snes.getKSP()
+        ksp.setOperators(self.A)
+        ksp.solve(self.b, du)
+        self.x.axpy(1, du)
+        system.prescribe(self.x)
+        self._put(self.x)
+
+    def measure_imbalance(self) -> None:
+        """Remember |R_free| before u moves: the part of a load increment that is a force."""
+        self.system.residual(self.b)
+        self.b.array[self.system.constrained] = 0
+        self._imbalance = self.b.norm()
+
+    def _run(self, objective: bool, before: Convergence | None = None) -> Convergence:
+        """One SNES solve from self.x, its counts added to those of an earlier one."""
+        snes = self.snes if objective else self._by_residual
+        self.x.copy(self._x_before)
+        self._correction, self._energetic = np.inf, objective
+        self._resumed = before is not None
+        snes.solve(None, self.x)
+        self._put(self.x)
+        code = snes.getConvergedReason()
+        return Convergence(
+            converged=code > 0,
+            reason="both tolerances reached" if code > 0 else REASONS.get(code, f"reason {code}"),
+            code=code,
+            iterations=snes.getIterationNumber() + (before.iterations if before else 0),
+            linear_iterations=snes.getLinearSolveIterations()
+            + (before.linear_iterations if before else 0),
+            residual=self._last[0],
+            force_level=self._last[1],
+            correction=float(self._correction),
+        )
+
+    def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
+        self._put(x)
+        return self.system.energy()
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        system = self.system
+        self._put(x)
+        # A state without a finite energy is refused also where the search goes by |R|: ln J with
+        # J < 0 spoils the energy before every part of the residual.
+        valid = self._energetic or not system.has_energy or np.isfinite(system.energy())
+        system.residual(self.b)
+        supported = self.b.array_r[system.constrained]
+        self._reactions = np.sqrt(system.comm.allreduce(float(supported @ supported)))
+        self.b.array[system.constrained] = 0
+        self.b.copy(f)
+        if not valid:
+            f.set(np.nan)
+
+    def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        self._put(x)
+        self.system.tangent(A)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
+        fnorm = norms[2]
+        if not np.isfinite(fnorm):
+            return -4
+        x = snes.getSolution()
+        if iteration:
+            change = np.abs(x.array_r - self._x_before.array_r)[self._displacements]
+            largest = float(change.max(initial=0.0))
+            self._correction = self.system.comm.allreduce(largest, MPI.MAX)
+        x.copy(self._x_before)
+        level = max(self._reactions, self._imbalance or 0.0)
+        self._last = (fnorm, level)
+        small = fnorm <= max(self.rtol * level, self._rounding)
+        first = iteration == 0 and not self._resumed
+        settled = first or self._correction <= self.ctol * self._size
+        if small and settled:
+            return 2
+        return -5 if iteration >= snes.getTolerances()[3] else 0
+
+    def _put(self, x: PETSc.Vec) -> None:
+        """Copy a vector into the unknown, ghosts included."""
+        target = self.system.u.x.petsc_vec
+        x.copy(target)
+        target.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+
+    def _get(self, x: PETSc.Vec) -> None:
+        self.system.u.x.petsc_vec.copy(x)
+
+
+def _command_line(prefix: str) -> dict[str, str]:
+    """Options with the prefix from $PETSC_OPTIONS and the command line (which wins)."""
+    words = shlex.split(os.environ.get("PETSC_OPTIONS", "")) + sys.argv[1:]
+    found = {}
+    for n, word in enumerate(words):
+        if word.startswith("-" + prefix):
+            following = words[n + 1] if n + 1 < len(words) else ""
+            is_value = following and not (following[0] == "-" and following[1:2].isalpha())
+            found[word[1 + len(prefix) :]] = following if is_value else ""
+    return found
+
+
+def _model_size(system: System) -> float:
+    """Diagonal of the mesh's bounding box [m]; collective."""
+    x = system.u.function_space.mesh.geometry.x
+    low = system.comm.allreduce(x.min(axis=0, initial=np.inf), MPI.MIN)
+    high = system.comm.allreduce(x.max(axis=0, initial=-np.inf), MPI.MAX)
+    return float(np.linalg.norm(high - low))
+
+
+def _displacement_dofs(system: System) -> Any:
+    """Owned local numbers of displacement components: all but the pressure's."""
+    V = system.u.function_space
+    if not is_mixed(V):
+        return slice(None)
+    numbers = np.asarray(V.sub(0).collapse()[1])
+    return numbers[numbers < V.dofmap.index_map.size_local * V.dofmap.bs]

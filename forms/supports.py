@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: MIT
+"""Unknowns, the load factor, and supports: displacements prescribed on named boundaries.
+
+A support's value may be any UFL expression of the reference point and of the load factor; it is
+evaluated anew at each load. ``facets`` are local facet indices, as ``body.facets("left")``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import entities_to_geometry
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from .kinematics import Expr
+
+Facets = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Prescribed:
+    """One boundary condition of a support: the whole vector, or one component."""
+
+    condition: fem.DirichletBC
+    value: fem.Function
+    expression: fem.Expression | None
+    cells: NDArray[np.int32]
+
+    def update(self) -> None:
+        """Evaluate the prescribed value at the present load factor; collective."""
+        if self.expression is not None:
+            self.value.interpolate(self.expression, self.cells)
+            self.value.x.scatter_forward()
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """A displacement prescribed on facets, as boundary conditions that follow the load."""
+
+    parts: tuple[Prescribed, ...]
+
+    @property
+    def conditions(self) -> list[fem.DirichletBC]:
+        """The DOLFINx boundary conditions."""
+        return [part.condition for part in self.parts]
+
+    def update(self) -> None:
+        """Evaluate the prescribed displacement at the present load factor; collective."""
+        for part in self.parts:
+            part.update()
+
+
+def load_factor(body: Any, value: float = 0.0) -> fem.Constant:
+    """Load factor t, a UFL constant that loads and supports are written with.
+
+    Args:
+        body: Mesh, or an object with a ``mesh``.
+        value: Value before the first load step.
+    """
+    return fem.Constant(_mesh(body), default_scalar_type(value))
+
+
+def displacement(body: Any, degree: int = 1) -> fem.Function:
+    """Displacement unknown [m], continuous Lagrange of the given degree, one value per dimension.
+
+    Args:
+        body: Mesh, or an object with a ``mesh``.
+        degree: Polynomial degree, 1 or more.
+
+    Raises:
+        ValueError: degree below 1.
+    """
+    mesh = _mesh(body)
+    V = fem.functionspace(mesh, ("Lagrange", _degree(degree, 1), (mesh.geometry.dim,)))
+    return fem.Function(V, name="displacement")
+
+
+def displacement_pressure(body: Any, degree: int = 2) -> fem.Function:
+    """Mixed unknown w = (u, p): Taylor-Hood, displacement of the degree, pressure of one less.
+
+    Use ``u, p = ufl.split(w)`` in energies, w itself in supports and solves.
+
+    Args:
+        body: Mesh, or an object with a ``mesh``.
+        degree: Degree of the displacement, 2 or more (with 1 the pressure would oscillate).
+
+    Raises:
+        ValueError: degree below 2.
+    """
+    mesh = _mesh(body)
+    k, cell = _degree(degree, 2), mesh.basix_cell()
+    U = basix.ufl.element("Lagrange", cell, k, shape=(mesh.geometry.dim,))
+    Q = basix.ufl.element("Lagrange", cell, k - 1)
+    return fem.Function(fem.functionspace(mesh, basix.ufl.mixed_element([U, Q])), name="w")
+
+
+def clamp(u: fem.Function, facets: Facets) -> Support:
+    """No displacement on the facets. Collective; arguments as :func:`prescribe`."""
+    return prescribe(u, facets, [0.0] * _space_dimension(u))
+
+
+def roller(u: fem.Function, facets: Facets, axis: int) -> Support:
+    """No displacement along one coordinate axis (0, 1, 2), free otherwise. Collective."""
+    dim = _space_dimension(u)
+    if axis not in range(dim):
+        raise ValueError(f"a roller needs an axis from 0 to {dim - 1}, got {axis}.")
+    return prescribe(u, facets, [0.0 if i == axis else None for i in range(dim)])
+
+
+def translate(u: fem.Function, facets: Facets, by: Sequence[Expr | None]) -> Support:
+    """Translation of the facets; a component None is left free. Collective.
+
+    ``translate(u, facets, (0.2 * t, None, 0))`` pulls along x in proportion to the load factor t.
+    """
+    return prescribe(u, facets, by)
+
+
+def rotate(
+    u: fem.Function,
+    facets: Facets,
+    angle: Expr,
+    axis: Sequence[float] = (0, 0, 1),
+    center: Sequence[float] | None = None,
+    shift: Sequence[Expr] | None = None,
+) -> Support:
+    """Rigid rotation of the facets about an axis, with an optional translation. Collective.
+
+    u = (R - I)(X - c) + shift,  R = I + sin(angle) K + (1 - cos(angle)) K^2 (Rodrigues)
+
+    Args:
+        u: Displacement unknown, or a mixed one whose first part it is.
+        facets: Local facet indices.
+        angle: Angle [rad], as ``2 * pi * t``; right-handed about the axis.
+        axis: Direction of the axis, any length; on a plane mesh (0, 0, 1) or (0, 0, -1).
+        center: A point c of the axis [m]; by default the middle of the facets' bounding box.
+        shift: Translation added [m].
+
+    Raises:
+        ValueError: zero axis, wrong number of components, or no facets on any rank.
+    """
+    mesh, dim = u.function_space.mesh, _space_dimension(u)
+    k = np.asarray(axis, float)
+    if k.shape != (3,) or not np.linalg.norm(k) > 0:
+        raise ValueError(f"rotate needs an axis of three components, not all zero; got {axis}.")
+    if dim == 2 and (k[0] or k[1]):
+        raise ValueError(f"on a plane mesh rotate needs the axis (0, 0, 1), got {axis}.")
+    k = k / np.linalg.norm(k)
+    c = np.zeros(3)
+    if center is None:
+        c[:] = _middle(u, facets)
+    else:
+        c[: len(center)] = center
+    K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])[:dim, :dim]
+    Q = ufl.sin(angle) * ufl.as_matrix(K.tolist())
+    Q += (1 - ufl.cos(angle)) * ufl.as_matrix((K @ K).tolist())
+    arm = ufl.SpatialCoordinate(mesh) - ufl.as_vector(c[:dim].tolist())
+    moved = Q * arm
+    return prescribe(u, facets, [moved[i] + (0 if shift is None else shift[i]) for i in range(dim)])
+
+
+def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) -> Support:
+    """Prescribed displacement on facets, component by component. Collective.
+
+    Args:
+        u: Displacement unknown, or a mixed one whose first part it is.
+        facets: Local facet indices (owned and ghost).
+        values: One entry per component [m]: a number or a UFL expression of the reference point
+            and the load factor, or None for a free component.
+
+    Returns:
+        Support for :func:`forms.solve` and :func:`forms.follow`.
+
+    Raises:
+        ValueError: wrong number of values, nothing prescribed, or no facets on any rank.
+    """
+    V = u.function_space
+    dim = _space_dimension(u)
+    if len(values) != dim:
+        raise ValueError(f"a support needs {dim} values, one per component, got {len(values)}.")
+    if all(value is None for value in values):
+        raise ValueError("a support needs at least one value that is not None.")
+    _check_facets(V.mesh, facets)
+    view = V.sub(0) if is_mixed(V) else V
+    if all(value is not None for value in values):
+        return Support((_part(view, facets, list(values)),))
+    return Support(
+        tuple(_part(view.sub(i), facets, [v]) for i, v in enumerate(values) if v is not None)
+    )
+
+
+def is_mixed(V: fem.FunctionSpace) -> bool:
+    """Whether V is a product of spaces (and not merely blocked, as a vector space is)."""
+    return V.num_sub_spaces > 0 and V.dofmap.bs == 1
+
+
+def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescribed:
+    """Boundary condition on a space, or on a view of one, with its value's own space."""
+    whole = len(view.component()) == 0
+    W = view if whole else view.collapse()[0]
+    fdim = W.mesh.topology.dim - 1
+    dofs = fem.locate_dofs_topological(view if whole else (view, W), fdim, facets)
+    g = fem.Function(W, name="prescribed")
+    expression, own = None, dofs if whole else dofs[1]
+    if all(isinstance(value, int | float) for value in values):
+        g.x.array[:] = np.tile(np.asarray(values, default_scalar_type), g.x.array.size // len(values))
+    else:
+        value = ufl.as_vector(values) if len(values) > 1 else ufl.as_ufl(values[0])
+        expression = fem.Expression(value, _dolfinx.interpolation_points(W))
+    # Not only the cells at the facets: a rank may own a dof whose facet lives elsewhere.
+    touched = np.isin(W.dofmap.list, own).any(axis=1)
+    bc = fem.dirichletbc(g, dofs) if whole else fem.dirichletbc(g, dofs, view)
+    part = Prescribed(bc, g, expression, np.flatnonzero(touched).astype(np.int32))
+    part.update()
+    return part
+
+
+def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
+    """Middle of the bounding box of facets on all ranks; collective."""
+    mesh = u.function_space.mesh
+    _check_facets(mesh, facets)
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    if len(facets):
+        nodes = entities_to_geometry(mesh, dim - 1, facets)
+        x = mesh.geometry.x[nodes.ravel()]
+        low, high = x.min(axis=0), x.max(axis=0)
+    low, high = mesh.comm.allreduce(low, MPI.MIN), mesh.comm.allreduce(high, MPI.MAX)
+    return (low + high) / 2
+
+
+def _check_facets(mesh: Any, facets: Facets) -> None:
+    if mesh.comm.allreduce(len(facets)) == 0:
+        raise ValueError("a support needs facets, got none on any rank: is the boundary empty?")
+
+
+def _space_dimension(u: fem.Function) -> int:
+    V = u.function_space
+    dim = V.mesh.geometry.dim
+    components = V.sub(0).num_sub_spaces if is_mixed(V) else V.num_sub_spaces
+    if components != dim:
+        raise ValueError(
+            f"a support needs a displacement of {dim} components (or a mixed unknown that starts "
+            f"with one), got {u.name} with {components or 1}."
+        )
+    return dim
+
+
+def _degree(degree: int, least: int) -> int:
+    if not isinstance(degree, int) or degree < least:
+        raise ValueError(f"the degree must be a whole number of at least {least}, got {degree}.")
+    return degree
+
+
+def _mesh(body: Any) -> Any:
+    return getattr(body, "mesh", body)
