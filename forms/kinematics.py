@@ -170,13 +170,15 @@ def _dimension(u: Expr, name: str) -> int:
     """Number of components of a displacement, after checking it against the mesh."""
     if u.ufl_shape not in ((2,), (3,)):
         raise ValueError(
-            f"{name} needs a displacement with 2 or 3 components, got shape {u.ufl_shape}; "
-            "for a mixed unknown w pass u, p = ufl.split(w)."
+            f"{name} needs a displacement with 2 or 3 components, got shape {u.ufl_shape}."
         )
     dim = u.ufl_shape[0]
     mesh_dim = _dolfinx.geometric_dimension(ufl.domain.extract_unique_domain(u))
     if dim != mesh_dim:
-        raise ValueError(f"{name} needs {mesh_dim} components on this mesh, got {dim}.")
+        raise ValueError(
+            f"{name} needs {mesh_dim} components on this mesh, got {dim}; "
+            "for a mixed unknown w pass the u of u, p = ufl.split(w)."
+        )
     return dim
 
 

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""The only file of the package that depends on DOLFINx's version.
+
+Written for DOLFINx 0.9.  `dolfinx.io.gmshio` became `dolfinx.io.gmsh` in 0.10 and returns another
+tuple there; both take the mesh from a gmsh model without checking it, so the package hands arrays
+over itself and needs only the few names below.
+"""
+
+from mpi4py import MPI
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import cpp
+from dolfinx.io.utils import distribute_entity_data
+from dolfinx.mesh import Mesh, MeshTags, create_mesh, meshtags_from_entities, to_type
+from numpy.typing import NDArray
+
+__all__ = ["coordinate_element", "create_tagged_mesh", "from_gmsh_order", "from_vtk_order"]
+
+
+def from_gmsh_order(cell: str, num_nodes: int) -> NDArray[np.int64]:
+    """Permutation p with dolfinx_nodes[i] = gmsh_nodes[p[i]] of one cell or facet."""
+    return np.array(cpp.io.perm_gmsh(to_type(cell), num_nodes), dtype=np.int64)
+
+
+def from_vtk_order(cell: str, num_nodes: int) -> NDArray[np.int64]:
+    """Permutation p with dolfinx_nodes[i] = vtk_nodes[p[i]], the order of XDMF too."""
+    return np.array(cpp.io.perm_vtk(to_type(cell), num_nodes), dtype=np.int64)
+
+
+def coordinate_element(cell: str, order: int, gdim: int) -> basix.ufl._ElementBase:
+    """Lagrange element of the given order for the coordinates, equispaced as gmsh's nodes are."""
+    variant = basix.LagrangeVariant.equispaced
+    return basix.ufl.element("Lagrange", cell, order, variant, shape=(gdim,))
+
+
+def create_tagged_mesh(
+    comm: MPI.Comm,
+    element: basix.ufl._ElementBase,
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    regions: NDArray[np.int32],
+    facets: NDArray[np.int64],
+    boundaries: NDArray[np.int32],
+) -> tuple[Mesh, MeshTags, MeshTags]:
+    """Distribute a mesh given on rank 0, with its cell and facet tags. Collective.
+
+    Args:
+        comm: Communicator.
+        element: Coordinate element, the same on all ranks.
+        points: Coordinates, shape (N, gdim); (0, gdim) on the other ranks, and so on.
+        cells: Nodes of the cells in DOLFINx's order, shape (number of cells, nodes per cell).
+        regions: Tag of each cell.
+        facets: Nodes of the tagged facets, in DOLFINx's order.
+        boundaries: Tag of each of these facets.
+
+    Returns:
+        The mesh without ghost cells, the cell tags, the facet tags.
+    """
+    mesh = create_mesh(comm, cells, points, ufl.Mesh(element))
+    tdim = mesh.topology.dim
+    mesh.topology.create_connectivity(tdim, tdim - 1)
+    mesh.topology.create_connectivity(tdim - 1, tdim)
+    tags = []
+    for dim, entities, values in (tdim, cells, regions), (tdim - 1, facets, boundaries):
+        mesh.topology.create_connectivity(dim, 0)
+        local, local_values = distribute_entity_data(mesh, dim, entities, values)
+        adjacency = cpp.graph.AdjacencyList_int32(np.asarray(local, dtype=np.int32))
+        tags.append(
+            meshtags_from_entities(mesh, dim, adjacency, local_values.astype(np.int32, copy=False))
+        )
+    tags[0].name, tags[1].name = "regions", "boundaries"
+    return mesh, tags[0], tags[1]

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""A whole mesh as arrays on one process, and the checks on it."""
+
+from dataclasses import dataclass, field
+
+import basix
+import numpy as np
+from numpy.typing import NDArray
+
+from ._dolfinx import coordinate_element
+
+__all__ = ["Grid"]
+
+# Relative size below which a Jacobian determinant counts as zero: det J against the product of the
+# lengths of J's columns, a number between 0 and 1 that does not depend on units.
+DEGENERATE = 1e-10
+
+
+@dataclass
+class Grid:
+    """Points, cells and tagged facets on one process, nodes in DOLFINx's order.
+
+    Attributes:
+        source: What the messages call it: a file's name or a function's.
+        cell: DOLFINx's name of the cell type.
+        order: Polynomial order of the geometry.
+        gdim: Dimension of the space the body lies in, 2 or 3.
+        points: Coordinates, shape (N, 3).
+        cells: Nodes of each cell, shape (number of cells, nodes per cell).
+        regions: Tag of each cell.
+        facets: Nodes of each tagged facet.
+        boundaries: Tag of each of these facets.
+        region_names: Tag of each region's name.
+        boundary_names: Tag of each boundary's name.
+        labels: Number that the source gives to each cell; empty: count from 0.
+    """
+
+    source: str
+    cell: str
+    order: int
+    gdim: int
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    regions: NDArray[np.int32]
+    facets: NDArray[np.int64]
+    boundaries: NDArray[np.int32]
+    region_names: dict[str, int]
+    boundary_names: dict[str, int]
+    labels: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+
+    @classmethod
+    def empty(cls, cell: str, order: int, gdim: int, cell_nodes: int, facet_nodes: int) -> "Grid":
+        """What the ranks without the mesh hold."""
+        tags = np.empty(0, np.int32)
+        cells, facets = (np.empty((0, n), np.int64) for n in (cell_nodes, facet_nodes))
+        return cls("", cell, order, gdim, np.empty((0, 3)), cells, tags, facets, tags, {}, {})
+
+    @property
+    def tdim(self) -> int:
+        """Dimension of the cells."""
+        return len(basix.topology(self._cell_type)) - 1
+
+    @property
+    def _cell_type(self) -> basix.CellType:
+        return basix.CellType[self.cell]
+
+    def check(self) -> None:
+        """Refuse a mesh on which an energy would be wrong without a word, and drop unused points.
+
+        Raises:
+            ValueError: A cell twice, a facet with two names, a facet of three cells, a cell
+                that is degenerate, turned inside out or folded over its neighbor.
+        """
+        self._drop_unused_points()
+        self._check_repetition()
+        self._check_shape()
+        if self.gdim == self.tdim:
+            self._check_folds()
+
+    def _drop_unused_points(self) -> None:
+        used, numbers = np.unique(self.cells, return_inverse=True)
+        if len(used) == len(self.points):
+            return
+        new = np.full(len(self.points), -1, dtype=np.int64)
+        new[used] = np.arange(len(used))
+        facets = new[self.facets]
+        touching = (facets >= 0).all(axis=1)
+        self.points, self.cells = self.points[used], numbers.reshape(self.cells.shape)
+        self.facets, self.boundaries = facets[touching], self.boundaries[touching]
+
+    def _check_repetition(self) -> None:
+        vertices = np.sort(self.cells[:, : len(basix.topology(self._cell_type)[0])], axis=1)
+        twice = len(vertices) - len(np.unique(vertices, axis=0))
+        if twice:
+            raise ValueError(
+                f"{self.source}: {twice} of {len(vertices)} cells come twice: give each cell one "
+                "region, so put each volume (surface) in one physical group."
+            )
+        rows, tags = np.sort(self.facets, axis=1), self.boundaries
+        order = np.lexsort((*rows.T, tags)) if len(rows) else np.empty(0, np.int64)
+        order = order[np.lexsort(rows[order].T)] if len(rows) else order
+        same = (rows[order][1:] == rows[order][:-1]).all(axis=1)
+        clash = same & (tags[order][1:] != tags[order][:-1])
+        if clash.any():
+            first = np.flatnonzero(clash)[0]
+            names = {tag: name for name, tag in self.boundary_names.items()}
+            one, other = (names[tags[order][first + i]] for i in (0, 1))
+            raise ValueError(
+                f"{self.source}: {clash.sum()} facets belong to both '{one}' and '{other}': give "
+                f"each facet one name, and ask for unions with facets('{one}', '{other}')."
+            )
+        keep = np.ones(len(rows), dtype=bool)
+        keep[order[1:][same]] = False
+        self.facets, self.boundaries = self.facets[keep], self.boundaries[keep]
+
+    def relative_jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Smallest and largest det J / (product of J's column lengths) in each cell.
+
+        Sampled at the points of a lattice of twice the polynomial degree of det J.  Of a surface
+        in space the root of det(J^T J) stands for det J.
+        """
+        tdim, lattice = self.tdim, max(1, self.tdim * self.order)
+        points = basix.create_lattice(self._cell_type, lattice, basix.LatticeType.equispaced, True)
+        element = coordinate_element(self.cell, self.order, self.gdim).basix_element
+        gradients = element.tabulate(1, points)[1:, :, :, 0]
+        if self.order == 1 and self.cell in ("triangle", "tetrahedron"):
+            gradients = gradients[:, :1]
+        low, high = np.empty(len(self.cells)), np.empty(len(self.cells))
+        for start in range(0, len(self.cells), 4096):
+            chunk = slice(start, start + 4096)
+            x = self.points[self.cells[chunk], : self.gdim]
+            J = np.einsum("tqn,cni->cqit", gradients, x)
+            if self.gdim == tdim:
+                det = np.linalg.det(J)
+            else:
+                det = np.sqrt(np.maximum(np.linalg.det(np.swapaxes(J, 2, 3) @ J), 0))
+            scale = np.prod(np.linalg.norm(J, axis=2), axis=2)
+            relative = np.divide(det, scale, out=np.zeros_like(det), where=scale > 0)
+            low[chunk], high[chunk] = relative.min(axis=1), relative.max(axis=1)
+        return low, high
+
+    def _check_shape(self) -> None:
+        if not np.isfinite(self.points).all():
+            raise ValueError(f"{self.source}: some coordinates are not finite numbers.")
+        low, high = self.relative_jacobians()
+        # Only a change of sign counts: DOLFINx takes |det J|, so cells numbered clockwise are fine.
+        flat = (low <= DEGENERATE) & (high >= -DEGENERATE)
+        if flat.any():
+            raise ValueError(
+                f"{self.source}: {flat.sum()} of {len(flat)} cells are degenerate or turned inside "
+                f"out (det J <= 0), the first is number {self._label(np.flatnonzero(flat)[0])}: "
+                "refine the mesh there, or take order 1."
+            )
+
+    def _check_folds(self) -> None:
+        """Refuse neighbors on the same side of their common facet, however they are numbered."""
+        corners = basix.topology(self._cell_type)[self.tdim - 1]
+        x = self.points[:, : self.gdim]
+        middles = x[self.cells[:, : len(basix.topology(self._cell_type)[0])]].mean(axis=1)
+        nodes = np.concatenate([self.cells[:, c] for c in corners])
+        cells = np.tile(np.arange(len(self.cells)), len(corners))
+        keys = np.sort(nodes, axis=1)
+        order = np.lexsort(keys.T)
+        same = (keys[order][1:] == keys[order][:-1]).all(axis=1)
+        if (same[1:] & same[:-1]).any():
+            number = (same[1:] & same[:-1]).sum()
+            raise ValueError(
+                f"{self.source}: {number} facets belong to three cells or more: cells overlap, "
+                "remove the surplus ones."
+            )
+        one, two = order[:-1][same], order[1:][same]
+        p = x[keys[one]]
+        normal = p[:, 1] - p[:, 0]
+        if self.gdim == 3:
+            normal = np.cross(normal, p[:, 2] - p[:, 0])
+        else:
+            normal = normal[:, ::-1] * [1, -1]
+        center = p.mean(axis=1)
+        sides = [np.sum(normal * (middles[cells[k]] - center), axis=1) for k in (one, two)]
+        folded = sides[0] * sides[1] > 0
+        if folded.any():
+            count = np.zeros((2, len(self.cells)), dtype=int)
+            for k in one, two:
+                np.add.at(count[0], cells[k], 1)
+                np.add.at(count[1], cells[k[folded]], 1)
+            bad = 2 * count[1] > count[0]
+            first = np.flatnonzero(bad if bad.any() else count[1])[0]
+            raise ValueError(
+                f"{self.source}: {max(bad.sum(), 1)} of {len(bad)} cells are inverted (folded over "
+                f"their neighbors), the first is number {self._label(first)}: mesh again, or move "
+                "its nodes back."
+            )
+
+    def _label(self, cell: int) -> int:
+        return int(self.labels[cell]) if len(self.labels) else int(cell)

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: MIT
+"""A mesh whose boundaries and regions have names."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx.mesh import Mesh, MeshTags, exterior_facet_indices
+from numpy.typing import NDArray
+
+from ._dolfinx import coordinate_element, create_tagged_mesh
+from ._grid import Grid
+
+__all__ = ["Body", "distribute"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A mesh with named boundaries and regions.
+
+    Constructing one is collective: every name must own at least one facet (cell) of the mesh,
+    on whichever rank.
+
+    Attributes:
+        mesh: The mesh.
+        cell_tags: Tags of the cells.
+        facet_tags: Tags of the named facets; facets without a name carry none.
+        regions: Tag of each region's name.
+        boundaries: Tag of each boundary's name.
+        interfaces: Names of the boundaries that lie wholly inside the body, between two cells.
+
+    Raises:
+        ValueError: A region without cells, or a boundary without facets.
+    """
+
+    mesh: Mesh
+    cell_tags: MeshTags
+    facet_tags: MeshTags
+    regions: Mapping[str, int]
+    boundaries: Mapping[str, int]
+    interfaces: tuple[str, ...] = field(init=False, default=())
+
+    def __post_init__(self) -> None:
+        topology = self.mesh.topology
+        topology.create_connectivity(topology.dim - 1, topology.dim)
+        exterior = exterior_facet_indices(topology)
+        cells = [self.cell_tags.find(tag) for tag in self.regions.values()]
+        facets = [self.facet_tags.find(tag) for tag in self.boundaries.values()]
+        local = [len(c) for c in cells] + [len(f) for f in facets]
+        local += [len(np.intersect1d(f, exterior)) for f in facets]
+        counts = self.mesh.comm.allreduce(np.array(local, dtype=np.int64))
+        in_region, on_facets, outside = np.split(counts, np.cumsum([len(cells), len(facets)]))
+        for kind, what, names, numbers in (
+            ("region", "cell", self.regions, in_region),
+            ("boundary", "facet", self.boundaries, on_facets),
+        ):
+            for name, number in zip(names, numbers, strict=True):
+                if number == 0:
+                    raise ValueError(
+                        f"the {kind} '{name}' holds no {what} of the mesh: give the name to "
+                        "others, or remove it."
+                    )
+        inside = [name for name, n in zip(self.boundaries, outside, strict=True) if n == 0]
+        object.__setattr__(self, "interfaces", tuple(inside))
+
+    def facets(self, *names: str) -> NDArray[np.int32]:
+        """Facets of the named boundaries. Local.
+
+        Args:
+            *names: Names of boundaries; none: the whole exterior boundary.
+
+        Returns:
+            Local indices of the facets, those of ghosts included, sorted, each once.
+
+        Raises:
+            ValueError: A name that is no boundary of this body.
+        """
+        if not names:
+            return np.sort(exterior_facet_indices(self.mesh.topology))
+        tags = self._tags("boundary", self.boundaries, names)
+        return np.unique(np.concatenate([self.facet_tags.find(tag) for tag in tags]))
+
+    def cells(self, *names: str) -> NDArray[np.int32]:
+        """Cells of the named regions. Local.
+
+        Args:
+            *names: Names of regions; none: all cells.
+
+        Returns:
+            Local indices of the cells, those of ghosts included, sorted, each once.
+
+        Raises:
+            ValueError: A name that is no region of this body.
+        """
+        if not names:
+            cell_map = self.mesh.topology.index_map(self.mesh.topology.dim)
+            return np.arange(cell_map.size_local + cell_map.num_ghosts, dtype=np.int32)
+        tags = self._tags("region", self.regions, names)
+        return np.unique(np.concatenate([self.cell_tags.find(tag) for tag in tags]))
+
+    def ds(self, *names: str, **metadata: Any) -> ufl.Measure:
+        """Measure on exterior facets.
+
+        Args:
+            *names: Names of boundaries; none: the whole exterior boundary.
+            **metadata: Passed to UFL, as in `body.ds("top", degree=2)`.
+
+        Returns:
+            The surface measure [m^2] (in two dimensions per thickness, [m]).
+
+        Raises:
+            ValueError: A name that is no boundary of this body, or one that lies inside it.
+        """
+        tags = self._tags("boundary", self.boundaries, names)
+        for name in names:
+            if name in self.interfaces:
+                raise ValueError(
+                    f"the boundary '{name}' lies inside the body, where ds is zero: integrate with "
+                    "ufl.Measure('dS', domain=body.mesh, subdomain_data=body.facet_tags, "
+                    f"subdomain_id={self.boundaries[name]})."
+                )
+        return self._measure("ds", self.facet_tags, tags, metadata)
+
+    def dx(self, *names: str, **metadata: Any) -> ufl.Measure:
+        """Measure on cells.
+
+        Args:
+            *names: Names of regions; none: the whole body.
+            **metadata: Passed to UFL, as in `body.dx("muscle", degree=2)`.
+
+        Returns:
+            The volume measure [m^3] (in two dimensions per thickness, [m^2]).
+
+        Raises:
+            ValueError: A name that is no region of this body.
+        """
+        tags = self._tags("region", self.regions, names)
+        return self._measure("dx", self.cell_tags, tags, metadata)
+
+    def _measure(
+        self, kind: str, data: MeshTags, tags: tuple[int, ...], metadata: dict[str, Any]
+    ) -> ufl.Measure:
+        measure = ufl.Measure(kind, domain=self.mesh, subdomain_data=data)
+        return measure(tags, **metadata) if tags else measure(**metadata)
+
+    def _tags(self, kind: str, known: Mapping[str, int], names: tuple[str, ...]) -> tuple[int, ...]:
+        for name in names:
+            if name not in known:
+                has = ", ".join(sorted(known)) or "none"
+                raise ValueError(f'no {kind} named "{name}"; this body has: {has}.')
+        return tuple(dict.fromkeys(known[name] for name in names))
+
+
+def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
+    """Make a grid on rank 0, check it there, and distribute it. Collective.
+
+    Args:
+        comm: Communicator of the mesh.
+        make: Called on rank 0 only.
+
+    Returns:
+        The body. The mesh has no ghost cells.
+
+    Raises:
+        Exception: Whatever `make` or the checks raised on rank 0, raised alike on all ranks.
+    """
+    grid, failure = None, None
+    if comm.rank == 0:
+        try:
+            grid = make()
+            grid.check()
+        except Exception as error:
+            failure = error
+    kinds = (ValueError, FileNotFoundError, ImportError, RuntimeError)
+    kind = next((k for k in kinds if isinstance(failure, k)), RuntimeError)
+    told = comm.bcast((kind, str(failure)) if failure else None)
+    if told:
+        raise told[0](told[1]) from failure
+    header = None
+    if grid is not None:
+        shapes = grid.cells.shape[1], grid.facets.shape[1]
+        header = grid.cell, grid.order, grid.gdim, grid.region_names, grid.boundary_names, shapes
+    cell, order, gdim, regions, boundaries, shapes = comm.bcast(header)
+    if grid is None:
+        grid = Grid.empty(cell, order, gdim, *shapes)
+    mesh, cell_tags, facet_tags = create_tagged_mesh(
+        comm,
+        coordinate_element(cell, order, gdim),
+        grid.points[:, :gdim],
+        grid.cells,
+        grid.regions,
+        grid.facets,
+        grid.boundaries,
+    )
+    return Body(mesh, cell_tags, facet_tags, regions, boundaries)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""What several test files share: the energies with parameters, states, and ways to evaluate."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+
+from forms import energies, stress
+
+MU, LMBDA, KAPPA = 1.3, 2.1, 4.0
+FIBER = np.array([0.8, 0.6, 0.0])
+TRANSVERSE = {"mu": 1.3, "nu": 0.27, "E_A": 9.0, "G_A": 0.8}
+
+
+def fiber():
+    return ufl.as_vector(FIBER.tolist())
+
+
+def _isochoric(psi):
+    return lambda F: psi(F) + energies.volumetric(F, KAPPA, "simo")
+
+
+ENERGIES = {
+    "neo_hookean": lambda F: energies.neo_hookean(F, MU, LMBDA),
+    "neo_hookean_quadratic": lambda F: energies.neo_hookean_quadratic(F, MU, LMBDA),
+    # neo-Hookean (16) written in the invariants, with a C : C term that is free of stress at rest
+    "isotropic": lambda F: energies.isotropic(
+        F,
+        lambda I1, CC, J2: (
+            MU / 2 * (I1 - 3 - ufl.ln(J2)) + LMBDA / 8 * ufl.ln(J2) ** 2 + 0.1 * (CC - 2 * I1 + 3)
+        ),
+    ),
+    "isochoric_neo_hookean": _isochoric(lambda F: energies.isochoric_neo_hookean(F, MU)),
+    "volumetric_quadratic": lambda F: (
+        energies.isochoric_neo_hookean(F, MU) + energies.volumetric(F, KAPPA)
+    ),
+    "volumetric_log": lambda F: (
+        energies.isochoric_neo_hookean(F, MU) + energies.volumetric(F, KAPPA, "log")
+    ),
+    "mooney_rivlin": _isochoric(lambda F: energies.mooney_rivlin(F, 0.4, 0.25)),
+    "yeoh": _isochoric(lambda F: energies.yeoh(F, 0.65, -0.05, 0.02)),
+    "saint_venant_kirchhoff": lambda F: energies.saint_venant_kirchhoff(F, MU, LMBDA),
+    "stable_neo_hookean": lambda F: energies.stable_neo_hookean(F, MU, LMBDA),
+    "transversely_isotropic": lambda F: energies.transversely_isotropic_neo_hookean(
+        F, **energies.transversely_isotropic_constants(**TRANSVERSE), fiber=fiber()
+    ),
+    "guccione": lambda F: (
+        energies.guccione(F, 2.0, 8.0, 2.0, 4.0, fiber()) + energies.volumetric(F, KAPPA)
+    ),
+}
+
+
+def unit_mesh(dim, n=1, cells=None):
+    """A unit square or cube on this rank alone."""
+    if dim == 2:
+        kind = cells or mesh.CellType.triangle
+        return mesh.create_unit_square(MPI.COMM_SELF, n, n, kind)
+    return mesh.create_unit_cube(MPI.COMM_SELF, n, n, n, cells or mesh.CellType.tetrahedron)
+
+
+def whole(body, where=lambda x: np.full(x.shape[1], True)):
+    """Boundary facets of a mesh at given places."""
+    dim = body.topology.dim
+    body.topology.create_connectivity(dim - 1, dim)
+    return mesh.locate_entities_boundary(body, dim - 1, where)
+
+
+def at_plane(body, axis, value):
+    """Boundary facets in the plane x_axis = value."""
+    return whole(body, lambda x: np.isclose(x[axis], value))
+
+
+class Pointwise:
+    """psi, P and the spatial elasticity (Voigt) of an energy at one F, by one compiled kernel."""
+
+    def __init__(self, psi):
+        self.mesh = unit_mesh(3)
+        self.F = fem.Constant(self.mesh, np.eye(3))
+        F = ufl.variable(self.F)
+        density = psi(F)
+        P, S = stress.first_piola(density, F), stress.second_piola(density, F)
+        sigma = stress.cauchy(density, F)
+        c = stress.voigt_elasticity(stress.spatial_elasticity(density, F))
+        parts = [density, *_entries(P), *_entries(S), *_entries(sigma), *_entries(c)]
+        self._kernel = fem.Expression(ufl.as_vector(parts), np.full((1, 3), 0.25))
+
+    def __call__(self, F):
+        self.F.value[:] = F
+        v = self._kernel.eval(self.mesh, np.array([0], dtype=np.int32)).ravel()
+        tensors = v[1:28].reshape(3, 3, 3)
+        return {
+            "psi": v[0],
+            "P": tensors[0],
+            "S": tensors[1],
+            "sigma": tensors[2],
+            "c": v[28:].reshape(6, 6),
+        }
+
+
+def _entries(tensor):
+    rows, columns = tensor.ufl_shape
+    return [tensor[i, j] for i in range(rows) for j in range(columns)]
+
+
+def random_rotation(rng):
+    Q, R = np.linalg.qr(rng.normal(size=(3, 3)))
+    Q *= np.sign(np.diag(R))
+    return Q if np.linalg.det(Q) > 0 else -Q
+
+
+def random_state(rng, amount=0.3):
+    """A deformation gradient with det F > 0.3."""
+    while True:
+        F = np.eye(3) + amount * rng.normal(size=(3, 3))
+        if np.linalg.det(F) > 0.3:
+            return F
+
+
+def rates(errors, factor=2.0):
+    """Observed orders between successive errors when the parameter is divided by factor."""
+    errors = np.asarray(errors)
+    return np.log(errors[:-1] / errors[1:]) / np.log(factor)

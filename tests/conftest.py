@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""Fixtures: MPI runs started from pytest, folders, a seeded generator."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20260101)
+
+
+@pytest.fixture
+def root():
+    return ROOT
+
+
+@pytest.fixture
+def run():
+    """Run a command of the repository; returns the finished process, fails with its output."""
+
+    def start(*command, ranks=1, cwd=ROOT, check=True, timeout=300):
+        words = [sys.executable, *map(str, command)]
+        if ranks > 1:
+            words = ["mpirun", "-n", str(ranks), *words]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            words, cwd=cwd, env=environment, capture_output=True, text=True, timeout=timeout
+        )
+        if check and done.returncode != 0:
+            pytest.fail(f"{' '.join(words)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
+        return done
+
+    return start
+
+
+@pytest.fixture
+def parallel(run, tmp_path):
+    """Run a script on several ranks and read the JSON that its rank 0 prints last."""
+
+    def start(script, ranks, *arguments):
+        file = tmp_path / "script.py"
+        file.write_text(script)
+        done = run(file, *arguments, ranks=ranks, cwd=tmp_path)
+        return json.loads(done.stdout.strip().splitlines()[-1])
+
+    return start
