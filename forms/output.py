@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem, io
 
 from . import _dolfinx
+from ._parallel import on_rank_zero
 from .kinematics import Expr
 from .results import displacement_of
 from .solve.continuation import Path
@@ -36,6 +37,7 @@ class VTX:
 
     Raises:
         ValueError: the name does not end in .bp.
+        OSError: the folder cannot be made; alike on all ranks.
     """
 
     def __init__(self, filename: str | FilePath, u: fem.Function, **fields: Expr) -> None:
@@ -58,9 +60,7 @@ class VTX:
             name: fem.Expression(e, _dolfinx.interpolation_points(self._functions[name].function_space))
             for name, e in fields.items()
         }
-        if mesh.comm.rank == 0:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-        mesh.comm.barrier()
+        on_rank_zero(mesh.comm, lambda: self._file.parent.mkdir(parents=True, exist_ok=True))
         outputs = list(self._functions.values())
         self._writer = io.VTXWriter(mesh.comm, str(self._file), outputs, engine="BP4")
 
@@ -112,10 +112,14 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
         **more,
     }
     plain = json.loads(json.dumps(content, default=_plain))
-    if filename is not None and system.comm.rank == 0:
+    if filename is not None:
         target = FilePath(filename)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(json.dumps(plain, indent=1) + "\n")
+
+        def write() -> None:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(json.dumps(plain, indent=1) + "\n")
+
+        on_rank_zero(system.comm, write)
     return plain
 
 

@@ -16,6 +16,7 @@ from dolfinx import fem, plot
 from numpy.typing import NDArray
 
 from . import _dolfinx
+from ._parallel import on_rank_zero
 from .kinematics import Expr
 from .results import displacement_of
 
@@ -56,11 +57,15 @@ def picture(
     color = ufl.sqrt(ufl.inner(u, u)) if field is None else field
     if ufl.as_ufl(color).ufl_shape != ():
         raise ValueError(f"a picture is colored by a scalar, got shape {color.ufl_shape}.")
-    parts = u.function_space.mesh.comm.gather(_part(u, color), root=0)
-    if parts is None:
-        return
+    comm = u.function_space.mesh.comm
+    on_rank_zero(comm, _ensure_display)
+    parts = comm.gather(_part(u, color), root=0)
     dim = u.function_space.mesh.topology.dim
-    _draw(_merge(parts), filename, label, view, title, scale, reference, size, dim)
+
+    def draw() -> None:
+        _draw(_merge(parts), filename, label, view, title, scale, reference, size, dim)
+
+    on_rank_zero(comm, draw)
 
 
 def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
@@ -127,7 +132,6 @@ def _draw(
 ) -> None:
     import pyvista
 
-    _ensure_display()
     FilePath(filename).parent.mkdir(parents=True, exist_ok=True)
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
     plotter.set_background("white")

@@ -15,6 +15,7 @@ from dolfinx import fem, geometry
 from numpy.typing import NDArray
 
 from . import _dolfinx
+from ._parallel import bounding_box
 from .assembly import System
 from .kinematics import Expr
 from .supports import is_mixed
@@ -82,8 +83,8 @@ def at(f: fem.Function | tuple[Expr, Any], point: Sequence[float], tolerance: fl
     x[0, : len(point)] = point
     cell, distance = _closest_cell(mesh, x)
     nearest, rank = mesh.comm.allreduce((distance, mesh.comm.rank), MPI.MINLOC)
-    size = mesh.comm.allreduce(float(np.abs(mesh.geometry.x).max(initial=0.0)), MPI.MAX)
-    if nearest > tolerance * size:
+    low, high = bounding_box(mesh.comm, mesh.geometry.x)
+    if nearest > tolerance * np.linalg.norm(high - low):
         raise ValueError(
             f"the point {tuple(float(c) for c in point)} lies {nearest:.3g} outside the mesh; "
             "give reference coordinates."

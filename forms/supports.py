@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-
 import basix.ufl
 import numpy as np
 import ufl
@@ -21,6 +19,7 @@ from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
 
 from . import _dolfinx
+from ._parallel import bounding_box
 from .kinematics import Expr
 
 Facets = NDArray[np.int32]
@@ -229,12 +228,8 @@ def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
     _check_facets(mesh, facets)
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    if len(facets):
-        nodes = entities_to_geometry(mesh, dim - 1, facets)
-        x = mesh.geometry.x[nodes.ravel()]
-        low, high = x.min(axis=0), x.max(axis=0)
-    low, high = mesh.comm.allreduce(low, MPI.MIN), mesh.comm.allreduce(high, MPI.MAX)
+    nodes = entities_to_geometry(mesh, dim - 1, facets).ravel() if len(facets) else facets
+    low, high = bounding_box(mesh.comm, mesh.geometry.x[nodes])
     return (low + high) / 2
 
 

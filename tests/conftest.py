@@ -3,6 +3,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -27,17 +28,30 @@ def root():
 def run():
     """Run a command of the repository; returns the finished process, fails with its output."""
 
-    def start(*command, ranks=1, cwd=ROOT, check=True, timeout=300):
+    def start(*command, ranks=1, cwd=ROOT, check=True, timeout=120):
         words = [sys.executable, *map(str, command)]
         if ranks > 1:
             words = ["mpirun", "-n", str(ranks), *words]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(
-            words, cwd=cwd, env=environment, capture_output=True, text=True, timeout=timeout
+        process = subprocess.Popen(
+            words,
+            cwd=cwd,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
-        if check and done.returncode != 0:
-            pytest.fail(f"{' '.join(words)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
-        return done
+        try:
+            out, err = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            # The whole group: ranks outlive a killed mpirun.
+            os.killpg(process.pid, signal.SIGKILL)
+            out, err = process.communicate()
+            pytest.fail(f"{' '.join(words)} did not end within {timeout} s\n{out}{err}")
+        if check and process.returncode != 0:
+            pytest.fail(f"{' '.join(words)} ended with {process.returncode}\n{out}{err}")
+        return subprocess.CompletedProcess(words, process.returncode, out, err)
 
     return start
 

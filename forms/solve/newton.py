@@ -15,11 +15,17 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from .._parallel import bounding_box
 from ..assembly import System
 from ..supports import is_mixed
 from . import linear
 
 EPS = float(np.finfo(float).eps)
+
+# Below this fraction of the force level the search goes by |R|: differences of the energy are
+# quadratic in |R| and drown in its rounding long before |R| reaches a tight tolerance.
+NEAR = 1e-3
+CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
 REASONS = {
     -1: "the function domain was left",
@@ -81,10 +87,10 @@ class Newton:
     reactions' norm and of the imbalance that the load increment made, with the rounding error of
     the forces, eps * max|K_ii| * model size * sqrt(n), as its floor.
 
-    Where the problem is a minimization the line search lowers the energy, otherwise |R|. States
-    with an energy or residual that is not finite are refused by it. If lowering the energy fails
-    (near the solution its differences drown in rounding) the same state goes on with |R|; if the
-    multigrid preset fails, with MUMPS.
+    Where the problem is a minimization the line search lowers the energy until |R_free| is a
+    thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
+    energy or residual that is not finite. If lowering the energy fails (an indefinite tangent gives
+    no descent) the same state goes on with |R|; if the multigrid preset fails, with MUMPS.
 
     Args:
         system: What to solve.
@@ -138,6 +144,8 @@ class Newton:
             "snes_max_it": "30",
             "snes_divergence_tolerance": "-1",
         }
+        if "pc_type" in self._user:  # another preconditioner has no use for this one's options
+            preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
         database = PETSc.Options()
         for key, value in {**base, **preset, **self._user}.items():
             database[self.prefix + key] = value
@@ -166,7 +174,7 @@ class Newton:
                 PETSc.Options().delValue(self.prefix + key)
             self._build(self._preset)
             outcome = self._run(system.minimization, outcome)
-        if outcome.code == -6 and system.minimization:
+        if outcome.code in (-6, NEAR_CODE) and system.minimization:
             outcome = self._run(False, outcome)
         self._imbalance = None
         return outcome
@@ -211,9 +219,10 @@ class Newton:
         snes.solve(None, self.x)
         self._put(self.x)
         code = snes.getConvergedReason()
+        converged = code == CONVERGED_CODE
         return Convergence(
-            converged=code > 0,
-            reason="both tolerances reached" if code > 0 else REASONS.get(code, f"reason {code}"),
+            converged=converged,
+            reason="both tolerances reached" if converged else REASONS.get(code, f"reason {code}"),
             code=code,
             iterations=snes.getIterationNumber() + (before.iterations if before else 0),
             linear_iterations=snes.getLinearSolveIterations()
@@ -261,7 +270,9 @@ class Newton:
         first = iteration == 0 and not self._resumed
         settled = first or self._correction <= self.ctol * self._size
         if small and settled:
-            return 2
+            return CONVERGED_CODE
+        if self._energetic and fnorm <= NEAR * level:
+            return NEAR_CODE
         return -5 if iteration >= snes.getTolerances()[3] else 0
 
     def _put(self, x: PETSc.Vec) -> None:
@@ -288,9 +299,7 @@ def _command_line(prefix: str) -> dict[str, str]:
 
 def _model_size(system: System) -> float:
     """Diagonal of the mesh's bounding box [m]; collective."""
-    x = system.u.function_space.mesh.geometry.x
-    low = system.comm.allreduce(x.min(axis=0, initial=np.inf), MPI.MIN)
-    high = system.comm.allreduce(x.max(axis=0, initial=-np.inf), MPI.MAX)
+    low, high = bounding_box(system.comm, system.u.function_space.mesh.geometry.x)
     return float(np.linalg.norm(high - low))
 
 

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: MIT
+"""1, 2 and 3 ranks give the same numbers, and no rank hangs."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+SCENE = """
+import json, sys
+from mpi4py import MPI
+import numpy as np, ufl
+import forms, meshes
+
+scene, tight = sys.argv[1], sys.argv[2] == "tight"
+comm = MPI.COMM_WORLD
+tolerance = {"rtol": 1e-12, "ctol": 1e-10} if tight else {}
+neo_hookean = forms.energies.neo_hookean
+virtual_work = None
+if scene == "twist":
+    body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.12)
+    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+    F = forms.deformation_gradient(u)
+    potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
+    supports = [forms.clamp(u, body.facets("left")),
+                forms.rotate(u, body.facets("right"), 0.8 * t, axis=(1, 0, 0))]
+    held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
+elif scene == "mixed":
+    body = meshes.cook(comm, n=6)
+    t, u = forms.load_factor(body), forms.displacement_pressure(body)
+    v, p = ufl.split(u)
+    F = forms.deformation_gradient(v)
+    psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 80.0), F, p, 4e5)
+    right = body.ds("right")
+    potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 3.0 * t]), right)
+    supports = [forms.clamp(u, body.facets("left"))]
+    held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
+elif scene == "follower":
+    body = meshes.block(comm, (4.0, 1.0, 1.0), n=(8, 2, 2), cells="hexahedron")
+    t, u = forms.load_factor(body), forms.displacement(body)
+    F = forms.deformation_gradient(u)
+    potential = neo_hookean(F, 1.0, 2.0) * ufl.dx
+    work = forms.follower_pressure(u, 0.01 * t, ufl.TestFunction(u.function_space), body.ds("top"))
+    virtual_work = work
+    supports = [forms.clamp(u, body.facets("left"))]
+    held, points = body.facets("left"), [(4.0, 1.0, 1.0), (2.1, 0.3, 0.7)]
+elif scene == "sheet":
+    body = meshes.block(comm, (2.0, 1.0), h=0.25)
+    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+    psi = lambda F: neo_hookean(F, 1.0, 2.0)
+    F = forms.plane_stress(u, psi)
+    potential = psi(F) * ufl.dx
+    supports = [forms.clamp(u, body.facets("left")),
+                forms.translate(u, body.facets("right"), (0.6 * t, 0.0))]
+    held, points = body.facets("right"), [(1.0, 1.0), (1.3, 0.2)]
+path = forms.follow(potential, u, supports, t, step=0.5, virtual_work=virtual_work,
+                    progress=False, **tolerance)
+moved = forms.displacement_of(u)
+force, moment = forms.resultant(path.system, held)
+numbers = {
+    "displacement": [forms.at(moved, point).tolist() for point in points],
+    "force": force.tolist(), "moment": moment.tolist(),
+    "volume": forms.volume(F, ufl.dx(body.mesh)),
+    "J": forms.smallest_volume_ratio(F, body.mesh) if scene != "sheet" else 1.0,
+    "iterations": [s.convergence.iterations for s in path.steps],
+}
+if comm.rank == 0:
+    print(json.dumps(numbers))
+"""
+
+
+@pytest.mark.parametrize("tolerance", ["tight", "default"])
+@pytest.mark.parametrize("scene", ["twist", "mixed", "follower", "sheet"])
+def test_ranks_give_the_same_numbers(scene, tolerance, parallel):
+    """Solved to 1e-12, 1, 2 and 3 ranks agree to 1e-10; at the defaults to ten times 1e-6."""
+    allowed = 1e-10 if tolerance == "tight" else 1e-5
+    one, *others = (parallel(SCENE, ranks, scene, tolerance) for ranks in (1, 2, 3))
+    for other in others:
+        for name in ("displacement", "force", "moment", "volume", "J"):
+            size = np.abs(one[name]).max()
+            assert np.abs(np.subtract(other[name], one[name])).max() < allowed * size, name
+
+
+FILES = """
+import json
+from mpi4py import MPI
+import ufl
+import forms, meshes
+
+comm = MPI.COMM_WORLD
+body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.15)
+t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+F = forms.deformation_gradient(u)
+psi = forms.energies.neo_hookean(F, 1.0, 5.0)
+supports = [forms.clamp(u, body.facets("left")),
+            forms.rotate(u, body.facets("right"), t, axis=(1, 0, 0))]
+vtx = forms.VTX("run.bp", u, sigma=forms.stress.cauchy(psi, F))
+path = forms.follow(psi * ufl.dx, u, supports, t, step=0.5, on_step=vtx)
+vtx.close()
+forms.picture(path, "run.png", ufl.det(F), "J", size=(600, 400))
+forms.summary(path, "run.json")
+if comm.rank == 0:
+    print(json.dumps(path.completed))
+"""
+
+
+def test_files_and_pictures_of_two_ranks(parallel, tmp_path):
+    """Rank 0 writes one picture and one summary, equal to those of one rank to the eye."""
+    from matplotlib.image import imread
+
+    pictures = []
+    for ranks in (1, 2):
+        assert parallel(FILES, ranks)
+        pictures.append(imread(tmp_path / "run.png")[..., :3])
+        assert json.loads((tmp_path / "run.json").read_text())["ranks"] == ranks
+    different = np.abs(pictures[0] - pictures[1]).max(axis=-1) > 0.1
+    assert different.mean() < 0.01
+
+
+FAILURES = """
+import sys
+from mpi4py import MPI
+import ufl
+import forms, meshes
+
+comm = MPI.COMM_WORLD
+body = meshes.block(comm, (1.0, 0.3), h=0.15)
+u, t = forms.displacement(body), forms.load_factor(body)
+psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 5.0)
+supports = [forms.clamp(u, body.facets("left")),
+            forms.translate(u, body.facets("right"), (-3.0 * t, 0.0))]
+what = sys.argv[1]
+try:
+    if what == "folder":
+        forms.summary(forms.solve(psi * ufl.dx, u, supports), "/proc/none/run.json")
+    elif what == "point":
+        forms.at(u, (2.0, 0.0))
+    elif what == "empty":
+        forms.clamp(u, body.facets("left")[:0])
+    elif what == "name":
+        body.facets("lfet")
+    elif what == "diverges":
+        forms.follow(psi * ufl.dx, u, supports, t, min_step=0.05, progress=False)
+except Exception as error:
+    sys.stdout.write(f"{type(error).__name__} {error}\\n")  # one write, so that ranks do not mix
+else:
+    sys.stdout.write("no error\\n")
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("folder", "FileNotFoundError"),
+        ("point", "ValueError the point (2.0, 0.0) lies 1 outside the mesh"),
+        ("empty", "ValueError a support needs facets, got none on any rank"),
+        ("name", 'ValueError no boundary named "lfet"'),
+        ("diverges", "NotConverged SNES stopped after"),
+    ],
+)
+def test_errors_reach_all_ranks_at_once(what, message, run, tmp_path):
+    """Each rank raises the same error within seconds; none waits for another."""
+    file = tmp_path / "failing.py"
+    file.write_text(FAILURES)
+    start = time.monotonic()
+    done = run(file, what, ranks=2, cwd=tmp_path, timeout=60)
+    assert time.monotonic() - start < 60
+    assert done.stdout.count(message) == 2, done.stdout + done.stderr
+
+
+def test_command_line_wins(run, tmp_path):
+    """-variform_snes_max_it on the command line goes over the options of the script."""
+    file = tmp_path / "one.py"
+    text = FAILURES.replace("(-3.0 * t, 0.0)", "(0.3, 0.4)")
+    text = text.replace('"/proc/none/run.json"', '"run.json"')
+    file.write_text(text.replace("supports),", 'supports, options={"snes_max_it": 30}),'))
+    assert "no error" in run(file, "folder", cwd=tmp_path).stdout
+    stopped = run(file, "folder", "-variform_snes_max_it", "1", cwd=tmp_path).stdout
+    assert "stopped after 1 iterations (the iterations were used up)" in stopped

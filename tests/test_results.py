@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""Numbers read off a solution, files and pictures."""
+
+import json
+import os
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from cases import at_plane, unit_mesh
+
+import forms
+import meshes
+
+
+@pytest.fixture
+def sheared():
+    """A unit cube after simple shear, solved; mesh, F, psi and the path."""
+    mesh = unit_mesh(3, 2)
+    u, t = forms.displacement(mesh, degree=2), forms.load_factor(mesh)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.neo_hookean(F, 1.0, 2.0)
+    supports = [
+        forms.clamp(u, at_plane(mesh, 2, 0.0)),
+        forms.translate(u, at_plane(mesh, 2, 1.0), (0.4 * t, 0.0, 0.0)),
+    ]
+    top = at_plane(mesh, 2, 1.0)
+    record = {"top": lambda s: forms.resultant(s, top), "J": lambda s: np.float64(1.0)}
+    path = forms.follow(psi * ufl.dx, u, supports, t, step=0.5, record=record, progress=False)
+    return mesh, F, psi, path
+
+
+def test_resultants_of_both_ends_are_opposite(sheared):
+    """Nothing else holds the body: the two ends' forces and moments cancel."""
+    mesh, _, _, path = sheared
+    force, moment = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    opposite, counter = forms.resultant(path.system, at_plane(mesh, 2, 0.0))
+    assert force[0] > 0.1
+    assert force == pytest.approx(-opposite, abs=1e-9)
+    assert moment == pytest.approx(-counter, abs=1e-9)
+    assert np.array(path.steps[-1].records["top"]) == pytest.approx(np.array([force, moment]))
+
+
+def test_moment_moves_with_its_point(sheared):
+    """M(c) = M(0) - c x force."""
+    mesh, _, _, path = sheared
+    force, moment = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    _, moved = forms.resultant(path.system, at_plane(mesh, 2, 1.0), about=(1, 2, 3))
+    assert moved == pytest.approx(moment - np.cross([1, 2, 3], force), abs=1e-12)
+
+
+def test_resultant_is_the_work_of_a_rigid_motion(sheared):
+    """force . e_x = int P : grad v dV for v = e_x on the top, 0 at the other nodes."""
+    mesh, F, psi, path = sheared
+    v = forms.displacement(mesh, degree=2)
+    for part in forms.translate(v, at_plane(mesh, 2, 1.0), (1.0, 0.0, 0.0)).conditions:
+        part.set(v.x.array)
+    P = forms.stress.first_piola(psi, F)
+    work = forms.integral(ufl.inner(P, ufl.grad(v)) * ufl.dx(metadata={"quadrature_degree": 4}))
+    force, _ = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    assert force[0] == pytest.approx(work, rel=1e-12)
+
+
+def test_fields_and_points(sheared):
+    """An affine field is interpolated exactly and read exactly at any point, also on corners."""
+    mesh, _, _, _ = sheared
+    x = ufl.SpatialCoordinate(mesh)
+    f = forms.field(ufl.as_vector([x[0] + 2 * x[1], 3 * x[2]]), mesh)
+    for point in ((0.3, 0.2, 0.9), (1, 1, 1), (0, 0.5, 0), (1 + 1e-12, 0.1, 0.1)):
+        assert forms.at(f, point) == pytest.approx(
+            [point[0] + 2 * point[1], 3 * point[2]], abs=1e-9
+        )
+    assert forms.at(forms.field(x[0] ** 2, mesh, degree=2), (0.3, 0.3, 0.3)) == pytest.approx(0.09)
+    with pytest.raises(ValueError, match=r"\(1.5, 0.0, 0.0\) lies 0.5 outside the mesh"):
+        forms.at(f, (1.5, 0, 0))
+
+
+def test_volumes():
+    """u = (a x, b y, c z): volume and smallest J are (1 + a)(1 + b)(1 + c)."""
+    mesh = unit_mesh(3, 2)
+    u = forms.displacement(mesh)
+    u.interpolate(lambda x: (0.5 * x[0], -0.2 * x[1], 0.1 * x[2]))
+    F = forms.deformation_gradient(u)
+    assert forms.volume(F, ufl.dx(mesh)) == pytest.approx(1.5 * 0.8 * 1.1)
+    assert forms.smallest_volume_ratio(F, mesh) == pytest.approx(1.5 * 0.8 * 1.1)
+
+
+def test_summary_is_json(sheared, tmp_path):
+    """The summary holds outcome, steps with records, sizes and versions; the file equals it."""
+    path = sheared[3]
+    made = forms.summary(path, tmp_path / "deep" / "run.json", answer=np.arange(3))
+    read = json.loads((tmp_path / "deep" / "run.json").read_text())
+    assert read == made
+    assert read["completed"] and len(read["steps"]) == 2
+    assert read["steps"][-1]["load"] == 1.0 and read["answer"] == [0, 1, 2]
+    assert np.shape(read["steps"][0]["records"]["top"]) == (2, 3)
+    assert read["unknowns"] == 3 * 125 and read["cells"] == 48 and read["ranks"] == 1
+    assert read["versions"]["dolfinx"]
+    with pytest.raises(TypeError, match="got Mesh"):
+        forms.summary(path, wrong=path.u.function_space.mesh)
+
+
+@pytest.mark.parametrize("fields", [False, True])
+def test_vtx_holds_the_steps(sheared, tmp_path, fields):
+    """The .bp folder holds the displacement (and fields) of every step, as adios2 reads it back."""
+    adios2 = pytest.importorskip("adios2")
+    mesh, F, psi, path = sheared
+    more = {"sigma": forms.stress.cauchy(psi, F)} if fields else {}
+    writer = forms.VTX(tmp_path / "run.bp", path.u, **more)
+    writer.write(0.0)
+    writer(path)
+    writer.close()
+    with adios2.FileReader(str(tmp_path / "run.bp")) as file:
+        names = file.available_variables()
+        assert int(names["displacement"]["AvailableStepsCount"]) == 2
+        assert ("sigma" in names) == fields
+    with pytest.raises(ValueError, match=r"ends in .bp, got run.vtu"):
+        forms.VTX(tmp_path / "run.vtu", path.u)
+
+
+def colors(file):
+    from matplotlib.image import imread
+
+    return imread(file)[..., :3]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_picture_shows_the_body(dim, tmp_path):
+    """The picture has the asked size, a white rim (nothing cut off) and colors in the middle."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 0.4, 0.4)[:dim], n=(4, 2, 2)[:dim])
+    u = forms.displacement(body, degree=2)
+    u.interpolate(lambda x: 0.2 * x[:dim])
+    file = tmp_path / "new" / "body.png"
+    forms.picture(u, file, title="block", label="|u| [m]", size=(600, 400))
+    image = colors(file)
+    assert image.shape == (400, 600, 3)
+    rim = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    assert np.all(rim == 1)
+    colorful = np.ptp(image, axis=-1) > 0.2
+    assert 0.05 < colorful.mean() < 0.9
+    F = forms.deformation_gradient(u)
+    forms.picture(u, file, ufl.det(F), "J", size=(600, 400), scale=2.0, reference=False)
+    assert colors(file).shape == (400, 600, 3)
+    with pytest.raises(ValueError, match=r"colored by a scalar, got shape \(3, 3\)"):
+        forms.picture(u, file, F)
+    with pytest.raises(ValueError, match=r"ends in .png, got body.jpg"):
+        forms.picture(u, "body.jpg")
+
+
+def test_no_display_is_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv("PATH", os.fspath(tmp_path))
+    body = meshes.block(MPI.COMM_SELF, (1.0, 0.4), n=(4, 2))
+    u = forms.displacement(body, degree=2)
+    with pytest.raises(RuntimeError, match="needs a display or Xvfb, found neither: apt-get"):
+        forms.picture(u, tmp_path / "a.png")

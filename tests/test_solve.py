@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: MIT
+"""Solutions against closed forms, rates of convergence, and failures that leave the state whole."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from cases import at_plane, rates, unit_mesh, whole
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from scipy.optimize import brentq
+
+import forms
+import meshes
+from forms.solve import linear as linear_presets
+
+TIGHT = {"rtol": 1e-12, "ctol": 1e-10}
+
+
+def pulled(psi, dim=3, stretch=1.5, mixed=False):
+    """A unit cube (square) between rollers, stretched along x; the path and the system."""
+    mesh = unit_mesh(dim, 2)
+    u = forms.displacement_pressure(mesh) if mixed else forms.displacement(mesh)
+    supports = [forms.roller(u, at_plane(mesh, axis, 0.0), axis) for axis in range(dim)]
+    ends = (stretch - 1, *[None] * (dim - 1))
+    supports.append(forms.translate(u, at_plane(mesh, 0, 1.0), ends))
+    path = forms.solve(psi(u), u, supports, **TIGHT)
+    force, _ = forms.resultant(path.system, at_plane(mesh, 0, 1.0))
+    return forms.displacement_of(u), force[0]
+
+
+def test_uniaxial_stretch_of_a_compressible_block():
+    """P11(L, l, l) is the force, where P22(L, l, l) = 0: neo-Hookean, L = 1.5."""
+    mu, lmbda, L = 1.3, 2.1, 1.5
+
+    def psi(u):
+        return forms.energies.neo_hookean(forms.deformation_gradient(u), mu, lmbda) * ufl.dx
+
+    def P22(side):
+        return mu * (side - 1 / side) + lmbda * np.log(L * side**2) / side
+
+    side = brentq(P22, 0.3, 1.5, xtol=1e-15)
+    u, force = pulled(psi, stretch=L)
+    assert force == pytest.approx(
+        mu * (L - 1 / L) + lmbda * np.log(L * side**2) / L, rel=1e-11
+    )
+    assert forms.at(u, (1, 1, 1)) == pytest.approx([L - 1, side - 1, side - 1], rel=1e-10)
+
+
+def test_uniaxial_stretch_of_an_incompressible_block():
+    """P11 = (2 c10 + 2 c01 / L)(L - L^-2), Mooney-Rivlin with a pressure unknown."""
+    c10, c01, L = 0.4, 0.25, 1.8
+
+    def psi(w):
+        u, p = ufl.split(w)
+        F = forms.deformation_gradient(u)
+        energy = forms.energies.mooney_rivlin(F, c10, c01)
+        return forms.energies.with_pressure(energy, F, p) * ufl.dx
+
+    u, force = pulled(psi, stretch=L, mixed=True)
+    assert force == pytest.approx((2 * c10 + 2 * c01 / L) * (L - L**-2), rel=1e-10)
+    assert forms.at(u, (0, 1, 1))[1:] == pytest.approx([L**-0.5 - 1] * 2, rel=1e-10)
+
+
+@pytest.mark.parametrize("model", ["incompressible", "condensed"])
+def test_uniaxial_stretch_of_a_sheet(model):
+    """Plane stress is uniaxial tension: mu (L - L^-2) incompressible, else the 3D bar's force."""
+    mu, lmbda, L = 1.3, 2.1, 1.4
+    neo_hookean = forms.energies.neo_hookean
+
+    def psi(u):
+        if model == "incompressible":
+            F = forms.plane_stress_incompressible(u)
+            return forms.energies.isochoric_neo_hookean(F, mu) * ufl.dx
+        F = forms.plane_stress(u, lambda F: neo_hookean(F, mu, lmbda))
+        return neo_hookean(F, mu, lmbda) * ufl.dx
+
+    _, force = pulled(psi, dim=2, stretch=L)
+    if model == "incompressible":
+        assert force == pytest.approx(mu * (L - L**-2), rel=1e-11)
+        return
+    side = brentq(lambda s: mu * (s - 1 / s) + lmbda * np.log(L * s**2) / s, 0.3, 1.5, xtol=1e-15)
+    P11 = mu * (L - 1 / L) + lmbda * np.log(L * side**2) / L
+    assert force == pytest.approx(P11, rel=1e-11)
+
+
+def test_simple_shear():
+    """F = I + k e1 (x) e2 on the whole boundary: the top's force is (mu k, P22 = 0, 0)."""
+    mu, lmbda, k = 1.3, 2.1, 0.8
+    mesh = unit_mesh(3, 2)
+    u = forms.displacement(mesh)
+    X = ufl.SpatialCoordinate(mesh)
+    support = forms.prescribe(u, whole(mesh), (k * X[1], 0.0, 0.0))
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, lmbda)
+    u.x.array[:] = 0.05 * np.random.default_rng(1).normal(size=u.x.array.size)
+    path = forms.solve(psi * ufl.dx, u, [support], **TIGHT)
+    assert forms.at(u, (0.4, 0.5, 0.3)) == pytest.approx([0.5 * k, 0, 0], abs=1e-12)
+    # P = mu (F - F^-T) is homogeneous; nodes on the top's edges also feel the sides: average it.
+    P = forms.stress.first_piola(psi, psi_F(psi))
+    assert forms.integral(P[0, 1] * ufl.dx) == pytest.approx(mu * k, rel=1e-12)
+    assert forms.integral(P[1, 1] * ufl.dx) == pytest.approx(0, abs=1e-12)
+    assert forms.integral(P[1, 0] * ufl.dx) == pytest.approx(mu * k, rel=1e-12)
+    assert path.completed
+
+
+def psi_F(psi):
+    """The variable an energy was written with."""
+    from ufl.corealg.traversal import unique_pre_traversal
+
+    return next(e for e in unique_pre_traversal(psi) if isinstance(e, ufl.classes.Variable))
+
+
+def tube_pressure(inner, outer, a, mu):
+    """Inner pressure of an incompressible neo-Hookean tube in plane strain, inner radius now a.
+
+    sigma_rr' = (sigma_tt - sigma_rr)/r = mu (r^2/R^2 - R^2/r^2)/r with R^2 = r^2 - k,
+    k = a^2 - A^2; integrated from a to b.
+    """
+    k = a**2 - inner**2
+    b = np.sqrt(outer**2 + k)
+    return mu * (np.log(outer / b) - np.log(inner / a) + k / 2 * (1 / a**2 - 1 / b**2))
+
+
+def test_tube_inflation_converges_to_the_closed_form():
+    """Axisymmetric P2-P1 tube under a follower pressure: the inner radius, at rate >= 3.5."""
+    inner, outer, mu, a = 1.0, 2.0, 1.0, 1.5
+    pressure = tube_pressure(inner, outer, a, mu)
+    errors = []
+    for n in (2, 4, 8):
+        body = meshes.block(
+            MPI.COMM_SELF, (outer - inner, 0.5), n=(n, 1), cells="quadrilateral", origin=(inner, 0)
+        )
+        w, t = forms.displacement_pressure(body), forms.load_factor(body)
+        u, p = ufl.split(w)
+        F, ring = forms.axisymmetric(u), forms.circumference(u)
+        psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, mu), F, p)
+        v, _ = ufl.TestFunctions(w.function_space)
+        density = forms.follower_pressure(u, t * pressure * ring, v, body.ds("left"), F)
+        level = [forms.roller(w, body.facets("bottom", "top"), 1)]
+        forms.follow(
+            psi * ring * ufl.dx, w, level, t, step=0.5, virtual_work=density, progress=False
+        )
+        moved = forms.at(forms.displacement_of(w), (inner, 0.25))
+        errors.append(abs(inner + moved[0] - a))
+    assert errors[-1] < 2e-5
+    assert rates(errors)[-1] > 3.5
+
+
+@pytest.mark.parametrize(("degree", "order"), [(1, 2), (2, 3), (3, 4)])
+def test_manufactured_solution_converges(degree, order):
+    """b = -div P(u*) gives back u* in L2 with rates 2, 3, 4 for P1, P2, P3."""
+    errors = []
+    for n in (4, 8, 16):
+        mesh = dmesh.create_unit_square(MPI.COMM_SELF, n, n)
+        x = ufl.SpatialCoordinate(mesh)
+        u = forms.displacement(mesh, degree)
+        exact = 0.1 * ufl.as_vector(
+            [ufl.sin(np.pi * x[0]) * ufl.cos(2 * x[1]), x[0] * ufl.sin(np.pi * x[1])]
+        )
+        F = forms.deformation_gradient(exact)
+        P = forms.stress.first_piola(forms.energies.neo_hookean(F, 1.0, 2.0), F)
+        b = -ufl.div(ufl.as_matrix([[P[0, 0], P[0, 1]], [P[1, 0], P[1, 1]]]))
+        psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+        dx = ufl.dx(metadata={"quadrature_degree": 2 * degree + 2})
+        potential = psi * dx + forms.body_force(u, b, dx)
+        forms.solve(potential, u, [forms.prescribe(u, whole(mesh), list(exact))])
+        difference = u - exact
+        fine = ufl.dx(metadata={"quadrature_degree": 2 * degree + 4})
+        errors.append(np.sqrt(forms.integral(ufl.inner(difference, difference) * fine)))
+    assert rates(errors)[-1] == pytest.approx(order, abs=0.15)
+
+
+def bending(scale=1.0, length=1.0, **solving):
+    """A short cantilever under a dead load at its end; lengths and moduli scaled."""
+    body = meshes.block(MPI.COMM_SELF, (4 * length, length), n=(8, 2), cells="quadrilateral")
+    u, t = forms.displacement(body), forms.load_factor(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0 * scale, 2.0 * scale)
+    load = forms.dead_traction(u, ufl.as_vector([0 * t, -0.01 * scale * t]), body.ds("right"))
+    path = forms.follow(
+        psi * ufl.dx + load,
+        u,
+        [forms.clamp(u, body.facets("left"))],
+        t,
+        progress=False,
+        record={"force": lambda s: forms.resultant(s, body.facets("left"))},
+        **solving,
+    )
+    return path, body
+
+
+def test_reactions_balance_the_loads():
+    """Force and moment of the clamp are minus those of the dead load on the deformed body."""
+    path, body = bending(rtol=1e-12)
+    force, moment = path.record("force")[-1]
+    assert force == pytest.approx([0, 0.01, 0], abs=1e-13)
+    x = ufl.SpatialCoordinate(body.mesh) + path.u
+    arm = forms.integral(x[0] * body.ds("right"))
+    assert moment[2] == pytest.approx(0.01 * arm, rel=1e-9)
+
+
+def test_units_change_nothing():
+    """Moduli times 1e9, lengths times 1e-3: the same iterations and the same shape."""
+    (plain, body), (scaled, small) = bending(), bending(1e9, 1e-3)
+    counts = [[s.convergence.iterations for s in p.steps] for p in (plain, scaled)]
+    assert counts[0] == counts[1]
+    tip = forms.at(plain.u, (4.0, 1.0))
+    assert 1e3 * forms.at(scaled.u, (4e-3, 1e-3)) == pytest.approx(tip, rel=1e-8)
+    assert abs(tip[1]) > 0.5
+
+
+def test_rest_is_converged_at_once():
+    """Without loads the state of rest is the solution: no iteration, whatever the force level."""
+    path, _ = bending(scale=1e6, to=1e-30)
+    assert path.steps[-1].convergence.iterations <= 1
+    assert np.abs(path.u.x.array).max() < 1e-25
+
+
+def test_quadratic_convergence_near_the_solution():
+    """Newton's corrections square: the last two residuals have a ratio of orders near 2."""
+    mesh = unit_mesh(3, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    newton = forms.Newton(forms.system(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
+    norms = []
+    for snes in (newton.snes, newton._by_residual):
+        snes.setMonitor(lambda snes, it, norm: norms.append(norm))
+    newton.predict()
+    assert newton.solve().converged
+    norms = [n for i, n in enumerate(norms) if n > 1e-13 and (i == 0 or n < norms[i - 1])]
+    orders = np.log(norms[2:]) / np.log(norms[1:-1])
+    assert orders[-1] > 1.7
+
+
+def test_spring_holds_a_free_body():
+    """A bar on springs without any support: stretch of the springs = load / stiffness."""
+    mesh = unit_mesh(3, 1)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 1.0) * ufl.dx
+    springs = forms.spring(u, 4.0, ufl.dx)
+    path = forms.solve(psi + springs + forms.body_force(u, (0.2, 0, -0.4)), u)
+    mean = [forms.integral(u[i] * ufl.dx) for i in range(3)]
+    assert mean == pytest.approx([0.05, 0, -0.1], abs=1e-10)
+    assert path.steps[0].convergence.converged
+
+
+def test_a_failed_path_keeps_the_last_converged_state():
+    """A load that no step can follow: u and t hold the last converged state, the path its steps."""
+    mesh = unit_mesh(2, 2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    # The wall would pass through the other one at t = 1: det F = 0 there.
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (-2 * t, 0.0)),
+    ]
+    states = []
+    with pytest.raises(forms.NotConverged, match=r"SNES stopped after \d+ .* load factor 0\.4") as e:
+        forms.follow(
+            psi,
+            u,
+            supports,
+            t,
+            min_step=0.01,
+            progress=False,
+            on_step=lambda path: states.append((path.load, u.x.array.copy())),
+        )
+    assert "last converged state is kept" in str(e.value)
+    assert float(t.value) == e.value.path.load == states[-1][0] < 0.5
+    assert np.array_equal(u.x.array, states[-1][1])
+    assert not e.value.path.completed and e.value.path.refused > 0
+    assert e.value.path.reason == str(e.value)
+
+
+def test_a_failed_solve_gives_the_old_state_back():
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    u.x.array[:] = 0.001
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    support = forms.translate(u, at_plane(mesh, 0, 1.0), (0.5, 0.5))
+    supports = [forms.clamp(u, at_plane(mesh, 0, 0.0)), support]
+    with pytest.raises(forms.NotConverged, match="Try smaller load steps; -mine_snes_monitor"):
+        forms.solve(psi, u, supports, options={"snes_max_it": 1}, prefix="mine_")
+    assert np.all(u.x.array == 0.001)
+
+
+def test_negative_and_decreasing_loads():
+    """The load factor may fall, and start anywhere."""
+    mesh = unit_mesh(2, 1)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh, 0.5)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [forms.prescribe(u, whole(mesh), (t * ufl.SpatialCoordinate(mesh)[0], 0.0))]
+    path = forms.follow(psi, u, supports, t, to=-0.25, step=0.25, progress=False)
+    assert [s.load for s in path.steps] == pytest.approx([0.25, -0.125, -0.25])
+    assert forms.at(u, (1, 1)) == pytest.approx([-0.25, 0])
+
+
+@pytest.mark.parametrize("linear", ["cholesky", "gamg"])
+def test_linear_solvers_agree(linear):
+    """Multigrid with rigid body modes and the factorization reach the same solution."""
+    mesh = unit_mesh(3, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    options = linear_presets.multigrid() if linear == "gamg" else {}
+    path = forms.solve(psi, u, supports, options=options, prefix=f"{linear}_", rtol=1e-12)
+    ksp_its = path.steps[0].convergence.linear_iterations
+    assert (ksp_its > 3 * path.steps[0].convergence.iterations) == (linear == "gamg")
+    assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
+
+
+MIDDLE = [0.0, 0.15, 0.0]  # by the point symmetry of the sheared cube about its middle
