@@ -28,7 +28,7 @@ def on_rank_zero(comm: MPI.Comm, work: Callable[[], None]) -> None:
 
 
 def bounding_box(
-    comm: MPI.Comm, points: NDArray[np.float64]
+    comm: MPI.Comm, points: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest coordinates of the points, shape (n, 3), of all ranks. Collective."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)

@@ -79,7 +79,7 @@ class System:
             coefficient.update()
 
     def energy(self) -> float:
-        """Potential at u [J], the sum over all ranks; 0 where only a residual was given. Collective."""
+        """Potential at u [J] over all ranks; 0 where only a residual was given. Collective."""
         if self._energy is None:
             return 0.0
         self.update_dependents()
@@ -127,7 +127,8 @@ class System:
         """Assemble the tangent at u into A, supported rows and columns those of identity."""
         self.update_dependents()
         A.zeroEntries()
-        fem_petsc.assemble_matrix(A, self._tangent, self.conditions)
+        # mypy sees the first of two overloads only.
+        fem_petsc.assemble_matrix(A, self._tangent, self.conditions)  # type: ignore[arg-type]
         A.assemble()
 
     def prescribe(self, x: PETSc.Vec) -> None:

@@ -57,7 +57,9 @@ class VTX:
             for name, s in shapes.items()
         }
         self._expressions = {
-            name: fem.Expression(e, _dolfinx.interpolation_points(self._functions[name].function_space))
+            name: fem.Expression(
+                e, _dolfinx.interpolation_points(self._functions[name].function_space)
+            )
             for name, e in fields.items()
         }
         on_rank_zero(mesh.comm, lambda: self._file.parent.mkdir(parents=True, exist_ok=True))
@@ -131,4 +133,6 @@ def _plain(value: Any) -> Any:
         return value.item()
     if isinstance(value, Mapping):
         return dict(value)
-    raise TypeError(f"a summary holds numbers, texts, lists and arrays, got {type(value).__name__}.")
+    raise TypeError(
+        f"a summary holds numbers, texts, lists and arrays, got {type(value).__name__}."
+    )

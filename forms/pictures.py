@@ -77,7 +77,8 @@ def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
     moved.interpolate(u)
     c.interpolate(fem.Expression(color, _dolfinx.interpolation_points(Q)))
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    cells, types, points = plot.vtk_mesh(Q, owned)
+    # mypy sees the overload for meshes only.
+    cells, types, points = plot.vtk_mesh(Q, owned)  # type: ignore[arg-type]
     d = np.zeros((len(points), 3))
     d[:, : mesh.geometry.dim] = moved.x.array.reshape(-1, mesh.geometry.dim)
     return cells, types, points, d, c.x.array.copy()
@@ -87,35 +88,20 @@ def _merge(parts: list[tuple[NDArray, ...]]) -> Any:
     """One grid of all ranks' cells; values at coinciding nodes are averaged."""
     import pyvista
 
-    cells, offset = [], 0
-    for connectivity, _, points, _, _ in parts:
-        shifted = connectivity.copy()
-        position = 0
-        while position < len(shifted):
-            n = shifted[position]
-            shifted[position + 1 : position + 1 + n] += offset
-            position += n + 1
-        cells.append(shifted)
-        offset += len(points)
-    points = np.concatenate([p[2] for p in parts])
-    size = np.ptp(points, axis=0).max()
-    keys = np.round(points / (1e-7 * size)).astype(np.int64)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    inverse = inverse.ravel()
-    connectivity = np.concatenate(cells)
-    position = 0
-    while position < len(connectivity):
-        n = connectivity[position]
-        block = slice(position + 1, position + 1 + n)
-        connectivity[block] = inverse[connectivity[block]]
-        position += n + 1
-    count = np.bincount(inverse)
-    grid = pyvista.UnstructuredGrid(
-        connectivity, np.concatenate([p[1] for p in parts]), points[first]
+    types, points, d, c = (np.concatenate([part[i] for part in parts]) for i in range(1, 5))
+    width = max(len(part[0]) // max(len(part[1]), 1) for part in parts)
+    offsets = np.cumsum([0] + [len(part[2]) for part in parts])
+    cells = np.concatenate(
+        [part[0].reshape(-1, width)[:, 1:] + n for part, n in zip(parts, offsets, strict=False)]
     )
-    d, c = np.concatenate([p[3] for p in parts]), np.concatenate([p[4] for p in parts])
-    grid["u"] = np.stack([np.bincount(inverse, d[:, i]) / count for i in range(3)], axis=1)
-    grid["color"] = np.bincount(inverse, c) / count
+    keys = np.round(points / (1e-7 * np.ptp(points, axis=0).max())).astype(np.int64)
+    _, first, node = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    node = node.ravel()
+    count = np.bincount(node)
+    connectivity = np.insert(node[cells], 0, width - 1, axis=1)
+    grid = pyvista.UnstructuredGrid(connectivity.ravel(), types, points[first])
+    grid["u"] = np.stack([np.bincount(node, d[:, i]) / count for i in range(3)], axis=1)
+    grid["color"] = np.bincount(node, c) / count
     return grid
 
 

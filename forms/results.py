@@ -47,7 +47,7 @@ def resultant(
     b = system.create_vector()
     system.residual(b)
     view = V.sub(0) if is_mixed(V) else V
-    W, numbers = (view.collapse() if is_mixed(V) else (V, None))
+    W, numbers = view.collapse() if is_mixed(V) else (V, None)
     dim = W.mesh.geometry.dim
     nodes = _owned_nodes(W, facets)
     dofs = nodes[:, None] * dim + np.arange(dim)
@@ -62,7 +62,7 @@ def resultant(
     return total[:3], total[3:]
 
 
-def at(f: fem.Function | tuple[Expr, Any], point: Sequence[float], tolerance: float = 1e-8) -> Array:
+def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Array:
     """Value of a function at a point of the reference body, alike on all ranks.
 
     Args:
@@ -103,7 +103,9 @@ def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> 
         name: Name for files and pictures.
     """
     shape = ufl.as_ufl(expression).ufl_shape
-    element = ("Discontinuous Lagrange", degree, shape) if shape else ("Discontinuous Lagrange", degree)
+    element = (
+        ("Discontinuous Lagrange", degree, shape) if shape else ("Discontinuous Lagrange", degree)
+    )
     f = fem.Function(fem.functionspace(mesh, element), name=name)
     f.interpolate(fem.Expression(expression, _dolfinx.interpolation_points(f.function_space)))
     f.x.scatter_forward()
@@ -163,5 +165,5 @@ def _closest_cell(mesh: Any, x: Array) -> tuple[int, float]:
     if len(inside):
         return int(inside[0]), 0.0
     cell = geometry.compute_closest_entity(tree, middles, mesh, x)
-    distance = float(np.sqrt(geometry.squared_distance(mesh, dim, cell, x)[0]))
+    distance = float(np.sqrt(geometry.squared_distance(mesh, dim, [int(c) for c in cell], x)[0]))
     return int(cell[0]), distance

@@ -210,7 +210,9 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     g = fem.Function(W, name="prescribed")
     expression, own = None, dofs if whole else dofs[1]
     if all(isinstance(value, int | float) for value in values):
-        g.x.array[:] = np.tile(np.asarray(values, default_scalar_type), g.x.array.size // len(values))
+        g.x.array[:] = np.tile(
+            np.asarray(values, default_scalar_type), g.x.array.size // len(values)
+        )
     else:
         value = ufl.as_vector(values) if len(values) > 1 else ufl.as_ufl(values[0])
         expression = fem.Expression(value, _dolfinx.interpolation_points(W))

@@ -97,7 +97,9 @@ def test_transversely_isotropic_moduli_come_back():
     """(25): the material has the mu, nu, E_A, G_A that its constants were made from."""
     constants = energies.transversely_isotropic_constants(**TRANSVERSE)
     axis = ufl.as_vector([1.0, 0.0, 0.0])
-    at = Pointwise(lambda F: energies.transversely_isotropic_neo_hookean(F, **constants, fiber=axis))
+    at = Pointwise(
+        lambda F: energies.transversely_isotropic_neo_hookean(F, **constants, fiber=axis)
+    )
     E_A, E_t, nu_t, nu_A, G_A = engineering_moduli(at(np.eye(3))["c"])
     mu, nu = TRANSVERSE["mu"], TRANSVERSE["nu"]
     assert [E_A, G_A] == pytest.approx([TRANSVERSE["E_A"], TRANSVERSE["G_A"]], rel=1e-12)
@@ -109,7 +111,9 @@ def test_five_transversely_isotropic_moduli_come_back():
     wanted = {"E_A": 9.0, "E_t": 3.0, "nu_t": 0.35, "nu_A": 0.2, "G_A": 0.8}
     constants = energies.transversely_isotropic_constants_five(**wanted)
     axis = ufl.as_vector([1.0, 0.0, 0.0])
-    at = Pointwise(lambda F: energies.transversely_isotropic_neo_hookean(F, **constants, fiber=axis))
+    at = Pointwise(
+        lambda F: energies.transversely_isotropic_neo_hookean(F, **constants, fiber=axis)
+    )
     found = engineering_moduli(at(np.eye(3))["c"])
     assert found == pytest.approx(list(wanted.values()), rel=1e-12)
 
@@ -158,7 +162,7 @@ def test_guccione_is_the_formula_in_fiber_axes(rng):
 
 @every_energy
 def test_inverted_states(name):
-    """det F < 0: energies with ln J or J^(-2/3) are not finite, the others are."""
+    """Det F < 0: energies with ln J or J^(-2/3) are not finite, the others are."""
     psi = evaluator(name)(np.diag([1.1, 0.9, -0.5]))["psi"]
     finite = name in ("saint_venant_kirchhoff", "stable_neo_hookean", "guccione")
     # (ln J^2 is defined for J < 0: an energy in III sees no inversion.)

@@ -74,7 +74,7 @@ def test_solid_and_plane_strain(dim):
 
 
 def test_axisymmetric_hoop_stretch_and_volume():
-    """u = (a r, b z): F = diag(1 + a, 1 + b, 1 + a); a cylinder's volume is pi R^2 H."""
+    """U = (a r, b z): F = diag(1 + a, 1 + b, 1 + a); a cylinder's volume is pi R^2 H."""
     mesh = unit_mesh(2)
     u = forms.displacement(mesh)
     u.interpolate(lambda x: (0.2 * x[0], -0.1 * x[1]))
@@ -131,7 +131,10 @@ def test_condensation_without_a_root_is_nan_and_recovers():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda u, w: forms.deformation_gradient(w), "needs 2 components on this mesh, got 3; for a"),
+        (
+            lambda u, w: forms.deformation_gradient(w),
+            "needs 2 components on this mesh, got 3; for a",
+        ),
         (lambda u, w: forms.axisymmetric(u[0]), r"2 or 3 components, got shape \(\)"),
         (lambda u, w: forms.fiber_invariants(ufl.Identity(3), ufl.as_vector([1, 0])), r"\(2,\)"),
         (lambda u, w: forms.energies.neo_hookean(ufl.Identity(2), 1, 1), r"got shape \(2, 2\)"),

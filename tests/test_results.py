@@ -52,7 +52,7 @@ def test_moment_moves_with_its_point(sheared):
 
 
 def test_resultant_is_the_work_of_a_rigid_motion(sheared):
-    """force . e_x = int P : grad v dV for v = e_x on the top, 0 at the other nodes."""
+    """Force . e_x = int P : grad v dV for v = e_x on the top, 0 at the other nodes."""
     mesh, F, psi, path = sheared
     v = forms.displacement(mesh, degree=2)
     for part in forms.translate(v, at_plane(mesh, 2, 1.0), (1.0, 0.0, 0.0)).conditions:
@@ -78,7 +78,7 @@ def test_fields_and_points(sheared):
 
 
 def test_volumes():
-    """u = (a x, b y, c z): volume and smallest J are (1 + a)(1 + b)(1 + c)."""
+    """U = (a x, b y, c z): volume and smallest J are (1 + a)(1 + b)(1 + c)."""
     mesh = unit_mesh(3, 2)
     u = forms.displacement(mesh)
     u.interpolate(lambda x: (0.5 * x[0], -0.2 * x[1], 0.1 * x[2]))
@@ -106,7 +106,7 @@ def test_summary_is_json(sheared, tmp_path):
 def test_vtx_holds_the_steps(sheared, tmp_path, fields):
     """The .bp folder holds the displacement (and fields) of every step, as adios2 reads it back."""
     adios2 = pytest.importorskip("adios2")
-    mesh, F, psi, path = sheared
+    _, F, psi, path = sheared
     more = {"sigma": forms.stress.cauchy(psi, F)} if fields else {}
     writer = forms.VTX(tmp_path / "run.bp", path.u, **more)
     writer.write(0.0)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import ufl
 from cases import at_plane, rates, unit_mesh, whole
-from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.optimize import brentq
 
@@ -42,9 +41,7 @@ def test_uniaxial_stretch_of_a_compressible_block():
 
     side = brentq(P22, 0.3, 1.5, xtol=1e-15)
     u, force = pulled(psi, stretch=L)
-    assert force == pytest.approx(
-        mu * (L - 1 / L) + lmbda * np.log(L * side**2) / L, rel=1e-11
-    )
+    assert force == pytest.approx(mu * (L - 1 / L) + lmbda * np.log(L * side**2) / L, rel=1e-11)
     assert forms.at(u, (1, 1, 1)) == pytest.approx([L - 1, side - 1, side - 1], rel=1e-10)
 
 
@@ -149,7 +146,7 @@ def test_tube_inflation_converges_to_the_closed_form():
 
 @pytest.mark.parametrize(("degree", "order"), [(1, 2), (2, 3), (3, 4)])
 def test_manufactured_solution_converges(degree, order):
-    """b = -div P(u*) gives back u* in L2 with rates 2, 3, 4 for P1, P2, P3."""
+    """B = -div P(u*) gives back u* in L2 with rates 2, 3, 4 for P1, P2, P3."""
     errors = []
     for n in (4, 8, 16):
         mesh = dmesh.create_unit_square(MPI.COMM_SELF, n, n)
@@ -201,7 +198,7 @@ def test_reactions_balance_the_loads():
 
 def test_units_change_nothing():
     """Moduli times 1e9, lengths times 1e-3: the same iterations and the same shape."""
-    (plain, body), (scaled, small) = bending(), bending(1e9, 1e-3)
+    (plain, _), (scaled, _) = bending(), bending(1e9, 1e-3)
     counts = [[s.convergence.iterations for s in p.steps] for p in (plain, scaled)]
     assert counts[0] == counts[1]
     tip = forms.at(plain.u, (4.0, 1.0))
@@ -259,7 +256,9 @@ def test_a_failed_path_keeps_the_last_converged_state():
         forms.translate(u, at_plane(mesh, 0, 1.0), (-2 * t, 0.0)),
     ]
     states = []
-    with pytest.raises(forms.NotConverged, match=r"SNES stopped after \d+ .* load factor 0\.4") as e:
+    with pytest.raises(
+        forms.NotConverged, match=r"SNES stopped after \d+ .* load factor 0\.4"
+    ) as e:
         forms.follow(
             psi,
             u,

@@ -26,7 +26,7 @@ def rotation(axis, angle):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("mixed", [False, True])
 def test_rotation_is_rigid_and_follows_the_load(degree, mixed):
-    """u = (R - I)(X - c) + shift at every node of the facets, at any load factor; free elsewhere."""
+    """U = (R - I)(X - c) + shift at every node of the facets, at any load factor; free elsewhere."""
     mesh = unit_mesh(3, 2)
     w = forms.displacement_pressure(mesh) if mixed else forms.displacement(mesh, degree)
     t = forms.load_factor(mesh)

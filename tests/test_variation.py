@@ -184,7 +184,10 @@ def test_pushes_and_pulls_are_inverse(rng):
         (stress.push_forward(S, F), sigma),
         (stress.pull_back(sigma, F), S),
         (stress.kirchhoff(psi, F), ufl.det(F) * sigma),
-        (stress.voigt_elasticity(stress.push_forward_elasticity(CC, F)), stress.voigt_elasticity(c)),
+        (
+            stress.voigt_elasticity(stress.push_forward_elasticity(CC, F)),
+            stress.voigt_elasticity(c),
+        ),
         (stress.voigt_elasticity(stress.pull_back_elasticity(c, F)), stress.voigt_elasticity(CC)),
     ]
     dx = ufl.dx(metadata={"quadrature_degree": 1})
