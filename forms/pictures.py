@@ -101,7 +101,8 @@ def _merge(parts: list[tuple[NDArray, ...]]) -> Any:
     connectivity = np.insert(node[cells], 0, width - 1, axis=1)
     grid = pyvista.UnstructuredGrid(connectivity.ravel(), types, points[first])
     grid["u"] = np.stack([np.bincount(node, d[:, i]) / count for i in range(3)], axis=1)
-    grid["color"] = np.bincount(node, c) / count
+    c = np.bincount(node, c) / count
+    grid["color"] = np.where(np.abs(c) > 1e-12 * np.abs(c).max(), c, 0)  # a rounded 0 reads 0
     return grid
 
 
@@ -138,7 +139,9 @@ def _draw(
         "fmt": "%.3g",
         "n_labels": 5,
     }
-    plotter.add_mesh(surface, scalars="color", cmap="viridis", scalar_bar_args=bar)
+    # Mostly ambient light: shading must not turn a color into another one of the bar.
+    light = {"lighting": False} if dim == 2 else {"ambient": 0.55, "diffuse": 0.5}
+    plotter.add_mesh(surface, scalars="color", cmap="viridis", scalar_bar_args=bar, **light)
     edges = surface.extract_feature_edges(40, boundary_edges=True, non_manifold_edges=False)
     if edges.n_points:
         plotter.add_mesh(edges, color="black", line_width=1.5)
@@ -149,14 +152,35 @@ def _draw(
     if title:
         plotter.add_text(title, position="upper_edge", font_size=12, color="black")
     direction = view or ((0.0, 0.0, 1.0) if dim == 2 else (1.0, -2.0, 1.0))
-    up = (0, 1, 0) if abs(direction[2]) == np.linalg.norm(direction) else (0, 0, 1)
-    plotter.view_vector(direction, viewup=up)
-    if dim == 2:
-        plotter.enable_parallel_projection()
-    plotter.camera.zoom(0.9)
+    shown = np.concatenate([surface.points, grid.points]) if reference else surface.points
+    _aim(plotter, shown, np.asarray(direction, float), size, bool(title))
     plotter.screenshot(str(filename))
     # Close before the display ends, or X reports a fatal error at exit.
     plotter.close()
+
+
+def _aim(
+    plotter: Any, points: NDArray, direction: NDArray, size: tuple[int, int], title: bool
+) -> None:
+    """Parallel view that fits the points tightly beside the color bar."""
+    d = direction / np.linalg.norm(direction)
+    vertical = np.array([0.0, 1.0, 0.0] if abs(d[2]) > 0.999 else [0.0, 0.0, 1.0])
+    right = np.cross(vertical, d)
+    right /= np.linalg.norm(right)
+    up = np.cross(d, right)
+    across, along = points @ right, points @ up
+    aspect = size[0] / size[1]
+    # The bar takes the right sixth of the width, a title some of the height.
+    scale = max(np.ptp(along) * (0.62 if title else 0.55), np.ptp(across) * 0.63 / aspect)
+    middle = right * (across.max() + across.min()) / 2 + up * (along.max() + along.min()) / 2
+    focus = middle + right * 0.16 * scale * aspect + up * (0.06 * scale if title else 0)
+    camera = plotter.camera
+    camera.parallel_projection = True
+    camera.focal_point = focus + d * np.mean(points @ d)
+    camera.position = np.asarray(camera.focal_point) + d * 10 * np.ptp(points, axis=0).max()
+    camera.up = up
+    camera.parallel_scale = scale
+    plotter.renderer.reset_camera_clipping_range()
 
 
 def _ensure_display() -> None:

@@ -406,6 +406,17 @@ def wait_for(path: Path) -> None:
     raise AssertionError(f"{path} did not appear in 10 s")
 
 
+def ended(group: int) -> bool:
+    """Whether nothing of a process group is left; the dead may wait a moment to be counted."""
+    for _ in range(100):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
 def test_a_killed_front_leaves_a_build_that_goes_on(builder):
     """After `kill -9` of docker/enter alone, the next call waits for the root and uses it."""
     process = subprocess.Popen(
@@ -444,8 +455,7 @@ def test_an_interrupted_build_leaves_nothing(builder):
     assert error.splitlines()[-1] == "enter: stopped; nothing is left behind"
     assert process.returncode == 128 + signal.SIGTERM
     assert list(builder["ENTER_CACHE"].glob("root-*")) == []
-    with pytest.raises(ProcessLookupError):
-        os.killpg(group, 0)
+    assert ended(group)
 
 
 def test_a_signal_reaches_the_command(builder):

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""The package as a user meets it: README, wheel, versions, imports."""
+
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+from conftest import ROOT
+
+import forms
+import meshes
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_the_code_of_the_readme_runs(run, tmp_path):
+    """The lines of the first screen, as they stand, end with a picture and a finished path."""
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    assert len(code.strip().splitlines()) <= 15
+    file = tmp_path / "readme.py"
+    file.write_text(code + "\nassert path.completed and abs(path.load - 2 * pi) < 1e-12\n")
+    run(file, cwd=tmp_path)
+    assert (tmp_path / "twist.png").stat().st_size > 10_000
+
+
+def test_the_commands_of_the_readme_exist():
+    """Every command shown starts docker/enter, and every module it names is there."""
+    text = (ROOT / "README.md").read_text() + (ROOT / "demos" / "README.md").read_text()
+    modules = re.findall(r"python3 -m (demos\.\w+|pytest)", text)
+    assert {"demos.twist", "pytest"} <= set(modules)
+    for module in set(modules) - {"pytest"}:
+        assert (ROOT / f"{module.replace('.', '/')}.py").exists(), module
+
+
+def test_links_of_the_pages_lead_somewhere():
+    for page in ROOT.glob("**/*.md"):
+        if ".git" in page.parts:
+            continue
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_versions_agree():
+    """pyproject.toml, CITATION.cff and CHANGELOG.md name the same version."""
+    version = PROJECT["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {version} " in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("package", [forms, meshes, forms.energies])
+def test_public_names_exist_and_are_documented(package):
+    """Every name in __all__ exists and has a docstring, once."""
+    assert len(set(package.__all__)) == len(package.__all__)
+    for name in package.__all__:
+        assert getattr(package, name).__doc__, name
+
+
+def test_arrows_point_down():
+    """meshes knows nothing of forms and the other way round; _dolfinx alone reads the version."""
+    for file in (ROOT / "meshes").glob("**/*.py"):
+        assert not re.search(r"^\s*(from|import) forms", file.read_text(), re.MULTILINE), file
+    for file in (ROOT / "forms").glob("**/*.py"):
+        text = file.read_text()
+        assert not re.search(r"^\s*(from|import) (meshes|demos)", text, re.MULTILINE), file
+        if file.name not in ("_dolfinx.py", "output.py"):
+            assert "__version__" not in text, file
+
+
+def test_packages_are_all_listed():
+    """Each folder with modules in forms and meshes is in the wheel's list."""
+    found = {
+        ".".join(init.parent.relative_to(ROOT).parts)
+        for top in ("forms", "meshes")
+        for init in (ROOT / top).glob("**/__init__.py")
+    }
+    assert found == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_the_wheel_works_outside_the_checkout(tmp_path):
+    """Built, installed into a fresh environment, imported there from the wheel and not from here."""
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", "forms", "meshes"):
+        subprocess.run(["cp", "-r", ROOT / name, source], check=True)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    alone = ["--no-index", "--no-build-isolation"]  # dependencies are checked, not fetched
+    subprocess.run([*pip, "wheel", *alone, "--no-deps", "-w", tmp_path, source], check=True)
+    (wheel,) = tmp_path.glob("variform-*.whl")
+    venv = tmp_path / "venv"
+    make = [sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", venv]
+    subprocess.run(make, check=True)
+    subprocess.run([*pip, "--python", venv / "bin/python", "install", *alone, wheel], check=True)
+    script = (
+        "import forms, meshes, importlib.metadata as m, pathlib\n"
+        "print(forms.__file__, m.version('variform'))\n"
+        "assert (pathlib.Path(forms.__file__).parent / 'py.typed').exists()\n"
+    )
+    done = subprocess.run(
+        [venv / "bin/python", "-c", script],
+        cwd=tmp_path,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    where, version = done.stdout.split()
+    assert where.startswith(str(venv)) and version == PROJECT["project"]["version"]
+
+
+def test_another_dolfinx_is_refused_in_one_sentence(tmp_path):
+    """Outside 0.9 to 0.11 the import says what it needs and what it found."""
+    code = "import dolfinx; dolfinx.__version__ = '0.8.0'; import forms"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert "ImportError: variform needs DOLFINx 0.9 to 0.11, found 0.8.0" in done.stderr
