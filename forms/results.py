@@ -54,6 +54,7 @@ def resultant(
     parent = dofs if numbers is None else np.asarray(numbers)[dofs]
     R, x = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 3))
     R[:, :dim] = b.array_r[parent]
+    b.destroy()
     x[:] = W.tabulate_dof_coordinates()[nodes]
     x[:, :dim] += system.u.x.array[parent]
     x -= np.asarray(about, float)
@@ -165,5 +166,6 @@ def _closest_cell(mesh: Any, x: Array) -> tuple[int, float]:
     if len(inside):
         return int(inside[0]), 0.0
     cell = geometry.compute_closest_entity(tree, middles, mesh, x)
-    distance = float(np.sqrt(geometry.squared_distance(mesh, dim, [int(c) for c in cell], x)[0]))
-    return int(cell[0]), distance
+    # Typed as a list in DOLFINx 0.9, which takes arrays only.
+    squared = geometry.squared_distance(mesh, dim, cell, x)  # type: ignore[arg-type]
+    return int(cell[0]), float(np.sqrt(squared[0]))

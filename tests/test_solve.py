@@ -316,3 +316,32 @@ def test_linear_solvers_agree(linear):
 
 
 MIDDLE = [0.0, 0.15, 0.0]  # by the point symmetry of the sheared cube about its middle
+
+
+def test_an_interrupted_path_leaves_the_last_converged_state():
+    """An exception in the middle (here from on_step) leaves u and t at the last converged load."""
+    mesh = unit_mesh(2, 2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.3 * t, 0.0)),
+    ]
+
+    def interrupt(path):
+        if len(path.steps) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        forms.follow(psi, u, supports, t, on_step=interrupt, progress=False)
+    assert 0.3 <= float(t.value) < 1
+    assert forms.at(u, (1.0, 0.5)) == pytest.approx([0.3 * float(t.value), 0], abs=1e-14)
+
+
+@pytest.mark.parametrize(("name", "value"), [("step", 0.0), ("min_step", -1.0), ("max_step", 0.0)])
+def test_steps_that_are_not_positive_are_refused(name, value):
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    with pytest.raises(ValueError, match=f"{name} = {value}"):
+        forms.follow(psi, u, [], t, **{name: value}, progress=False)

@@ -19,6 +19,9 @@ from ..supports import Support
 from .newton import Convergence, Newton, NotConverged
 
 
+EASY = 5  # Newton iterations up to which the next load step grows
+
+
 @dataclass(frozen=True)
 class Step:
     """One converged load step: the load factor, how Newton went, what was recorded."""
@@ -96,7 +99,10 @@ def solve(
     newton = Newton(problem, options, prefix, rtol, ctol)
     path, start = Path(u, problem), time.perf_counter()
     before = u.x.array.copy()
-    outcome = _attempt(newton)
+    try:
+        outcome = _attempt(newton)
+    finally:
+        newton.destroy()
     path.seconds = time.perf_counter() - start
     if not outcome.converged:
         u.x.array[:] = before
@@ -156,13 +162,10 @@ def follow(
             and the exception's ``path`` the steps so far.
         ValueError: forms or supports of the wrong kind, or steps that are not positive.
     """
-    way = to - float(t.value)
-    first, least, most = _steps(way, step, min_step, max_step)
+    walk = _Walk.start(float(t.value), to, step, min_step, max_step)
     problem = system(potential, u, supports, virtual_work)
     newton = Newton(problem, options, prefix, rtol, ctol)
     path, start = Path(u, problem), time.perf_counter()
-    done, ahead, begin = 0.0, first, float(t.value)
-    earlier: tuple[np.ndarray, float] | None = None
     bar = tqdm(
         total=1.0,
         desc="load",
@@ -170,47 +173,106 @@ def follow(
         file=sys.stderr,
         disable=not progress or problem.comm.rank != 0,
     )
-    with bar:
-        while done < abs(way):
-            # A remainder that is only rounding would become a step of its own.
-            ahead = abs(way) - done if abs(way) - done < ahead * (1 + 1e-9) else ahead
-            before = u.x.array.copy()
-            t.value = to if done + ahead >= abs(way) else begin + np.sign(way) * (done + ahead)
+    before, reached = u.x.array.copy(), float(t.value)
+    earlier: tuple[np.ndarray, float] | None = None
+    try:
+        while not walk.finished:
+            t.value = walk.aim()
             if earlier is not None:
-                _extrapolate(problem, earlier[0], ahead / earlier[1])
+                _extrapolate(problem, earlier[0], walk.ahead / earlier[1])
             outcome = _attempt(newton)
             if outcome.converged:
-                done += ahead
-                earlier = (before, ahead)
                 path.steps.append(Step(float(t.value), outcome, _recorded(record, problem)))
-                bar.update(min(done / abs(way), 1.0) - bar.n)
-                bar.set_postfix_str(f"t = {float(t.value):.4g}, {outcome.iterations} iterations")
+                earlier = (before, walk.ahead)
+                before, reached = u.x.array.copy(), float(t.value)
+                walk.advance(outcome.iterations)
+                bar.update(walk.fraction - bar.n)
+                bar.set_postfix_str(f"t = {reached:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
                     on_step(path)
-                ahead = min(most, 1.5 * ahead) if outcome.iterations <= 5 else ahead
                 continue
             path.refused += 1
             u.x.array[:] = before
-            t.value = begin + np.sign(way) * done
-            ahead /= 2
-            bar.set_postfix_str(f"step halved to {ahead:.3g} ({outcome.reason})")
-            if ahead < least:
-                path.seconds = time.perf_counter() - start
-                for support in problem.supports:
-                    support.update()
-                problem.update_dependents()
+            t.value = reached
+            if not walk.halve():
                 raise _failure(
                     path,
-                    f"{outcome.sentence()}, at load factor {float(t.value):.6g} even for a step of "
-                    f"{2 * ahead:.3g}. The last converged state is kept. {_advice(prefix)}",
+                    f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
+                    f"{2 * walk.ahead:.3g}. The last converged state is kept. {_advice(prefix)}",
                 )
-    path.seconds = time.perf_counter() - start
+            bar.set_postfix_str(f"step halved to {walk.ahead:.3g} ({outcome.reason})")
+    finally:
+        # Whatever ended the path, Ctrl-C included: the last converged state is left behind.
+        u.x.array[:] = before
+        t.value = reached
+        for support in problem.supports:
+            support.update()
+        problem.update_dependents()
+        newton.destroy()
+        bar.close()
+        path.seconds = time.perf_counter() - start
     path.completed = True
     path.reason = (
-        f"Load factor {float(t.value):.6g} reached in {len(path.steps)} steps "
+        f"Load factor {reached:.6g} reached in {len(path.steps)} steps "
         f"({path.refused} refused), {sum(s.convergence.iterations for s in path.steps)} iterations."
     )
     return path
+
+
+@dataclass
+class _Walk:
+    """Lengths of load steps: halved on failure, grown by half after an easy step."""
+
+    begin: float
+    end: float
+    ahead: float
+    least: float
+    most: float
+    done: float = 0.0
+
+    @classmethod
+    def start(
+        cls, begin: float, end: float, step: float | None, least: float | None, most: float | None
+    ) -> _Walk:
+        """Steps with their defaults; refuses lengths that are not positive."""
+        way = abs(end - begin)
+        first = way / 10 if step is None else step
+        least = way / 1000 if least is None else least
+        most = 2 * first if most is None else most
+        if not np.isfinite(way) or (way and not min(first, least, most) > 0):
+            raise ValueError(
+                f"load steps must be positive and the way finite, got step = {first}, min_step = "
+                f"{least}, max_step = {most} from {begin} to {end}."
+            )
+        return cls(begin, end, first, min(least, first), max(most, first))
+
+    @property
+    def finished(self) -> bool:
+        return self.done >= abs(self.end - self.begin)
+
+    @property
+    def fraction(self) -> float:
+        return min(self.done / abs(self.end - self.begin), 1.0)
+
+    def aim(self) -> float:
+        """Load factor of the next step, the last one exactly."""
+        left = abs(self.end - self.begin) - self.done
+        # A remainder that is only rounding would become a step of its own.
+        if left <= self.ahead * (1 + 1e-9):
+            self.ahead = left
+            return self.end
+        return self.begin + np.sign(self.end - self.begin) * (self.done + self.ahead)
+
+    def advance(self, iterations: int) -> None:
+        """A step has converged."""
+        self.done += self.ahead
+        if iterations <= EASY:
+            self.ahead = min(self.most, 1.5 * self.ahead)
+
+    def halve(self) -> bool:
+        """A step has failed; whether a smaller one may be tried."""
+        self.ahead /= 2
+        return self.ahead >= self.least
 
 
 def _attempt(newton: Newton) -> Convergence:
@@ -228,20 +290,6 @@ def _extrapolate(problem: System, earlier: np.ndarray, ratio: float) -> None:
     u += ratio * (last - earlier)
     if problem.has_energy and not np.isfinite(problem.energy()):
         u[:] = last
-
-
-def _steps(
-    way: float, step: float | None, least: float | None, most: float | None
-) -> tuple[float, float, float]:
-    first = abs(way) / 10 if step is None else step
-    least = abs(way) / 1000 if least is None else least
-    most = 2 * first if most is None else most
-    if not (np.isfinite(way) and first > 0 and least > 0 and most > 0) and way != 0:
-        raise ValueError(
-            f"load steps must be positive and finite, got step = {step}, min_step = {least}, "
-            f"max_step = {most} over a way of {way}."
-        )
-    return first, min(least, first), max(most, first)
 
 
 def _recorded(record: Mapping[str, Callable] | None, problem: System) -> dict[str, Any]:

@@ -192,6 +192,7 @@ class Newton:
         system.prescribe(jump)
         jump.axpy(-1, self.x)
         if jump.norm(PETSc.NormType.INFINITY) == 0:
+            jump.destroy()
             return
         system.lifted_residual(self.b)
         self.b.scale(-1)
@@ -203,12 +204,19 @@ class Newton:
         self.x.axpy(1, du)
         system.prescribe(self.x)
         self._put(self.x)
+        jump.destroy()
+        du.destroy()
 
     def measure_imbalance(self) -> None:
         """Remember |R_free| before u moves: the part of a load increment that is a force."""
         self.system.residual(self.b)
         self.b.array[self.system.constrained] = 0
         self._imbalance = self.b.norm()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; their callbacks refer to this object, so no one else would."""
+        for item in (self.snes, self._by_residual, self.A, self.b, self.x, self._x_before):
+            item.destroy()
 
     def _run(self, objective: bool, before: Convergence | None = None) -> Convergence:
         """One SNES solve from self.x, its counts added to those of an earlier one."""
