@@ -140,7 +140,7 @@ def _draw(
         "n_labels": 5,
     }
     # Mostly ambient light: shading must not turn a color into another one of the bar.
-    light = {"lighting": False} if dim == 2 else {"ambient": 0.55, "diffuse": 0.5}
+    light: dict[str, Any] = {"lighting": False} if dim == 2 else {"ambient": 0.55, "diffuse": 0.5}
     plotter.add_mesh(surface, scalars="color", cmap="viridis", scalar_bar_args=bar, **light)
     edges = surface.extract_feature_edges(40, boundary_edges=True, non_manifold_edges=False)
     if edges.n_points:
