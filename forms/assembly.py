@@ -68,6 +68,12 @@ class System:
         return self._energy is not None
 
     @property
+    def is_displacement(self) -> bool:
+        """Whether the unknown is a vector with one component per dimension."""
+        V = self.u.function_space
+        return not is_mixed(V) and V.num_sub_spaces == V.mesh.geometry.dim
+
+    @property
     def size(self) -> int:
         """Degrees of freedom on all ranks."""
         dofmap = self.u.function_space.dofmap
@@ -185,16 +191,24 @@ def system(
 
 
 def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
-    """The form with a quadrature degree on every integral that has none."""
+    """The form with a quadrature degree on every integral that has none.
+
+    Integrals written with ``ufl.dx`` also get the subdomains of those beside them that were written
+    with ``body.dx("name")``: DOLFINx wants them alike.
+    """
     if not isinstance(form, ufl.Form):
         return form
     integrals: list[Any] = []
+    subdomains = {
+        i.integral_type(): i.subdomain_data() for i in form.integrals() if i.subdomain_data()
+    }
     for integral in form.integrals():
         metadata = dict(integral.metadata())
         cells = integral.integral_type() == "cell"
         default = 2 * degree if cells else max(2 * degree, 3 * degree - 2)
         metadata.setdefault("quadrature_degree", default)
-        integrals.append(integral.reconstruct(metadata=metadata))
+        data = integral.subdomain_data() or subdomains.get(integral.integral_type())
+        integrals.append(integral.reconstruct(metadata=metadata, subdomain_data=data))
     return ufl.Form(integrals)
 
 

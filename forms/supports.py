@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import basix.ufl
@@ -208,11 +209,12 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     fdim = W.mesh.topology.dim - 1
     dofs = fem.locate_dofs_topological(view if whole else (view, W), fdim, facets)
     g = fem.Function(W, name="prescribed")
-    expression, own = None, dofs if whole else dofs[1]
-    if all(isinstance(value, int | float) for value in values):
-        g.x.array[:] = np.tile(
-            np.asarray(values, default_scalar_type), g.x.array.size // len(values)
-        )
+    # In a view the numbers are those of components, in W.dofmap.list of nodes.
+    expression, own = None, dofs if whole else dofs[1] // W.dofmap.bs
+    numbers = [_number(value) for value in values]
+    if None not in numbers:
+        constant = np.asarray(numbers, default_scalar_type)
+        g.x.array[:] = np.tile(constant, g.x.array.size // len(values))
     else:
         value = ufl.as_vector(values) if len(values) > 1 else ufl.as_ufl(values[0])
         expression = fem.Expression(value, _dolfinx.interpolation_points(W))
@@ -222,6 +224,11 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     part = Prescribed(bc, g, expression, np.flatnonzero(touched).astype(np.int32))
     part.update()
     return part
+
+
+def _number(value: Expr) -> float | None:
+    """A plain or UFL number (0 * t is one) as float; None for any other expression."""
+    return float(value) if isinstance(value, Real | ufl.classes.ConstantValue) else None
 
 
 def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:

@@ -184,6 +184,8 @@ def test_moduli():
         (lambda F: energies.lame_from_shear(1.0, 0.5), r"got nu = 0.5; for nu = 1/2 use"),
         (lambda F: energies.lame_from_young(-2.0, 0.3), r"Young's modulus E must be .*got -2.0"),
         (lambda F: energies.neo_hookean(F, -1.0, 1.0), r"shear modulus mu must be .* got -1.0"),
+        (lambda F: energies.neo_hookean(F, 1.0, np.nan), "needs a finite lmbda, got nan"),
+        (lambda F: energies.yeoh(F, 1.0, np.inf, 1.0), "yeoh needs a finite c2, got inf"),
         (lambda F: energies.volumetric(F, 1.0, "cubic"), r"quadratic, simo, log, got 'cubic'"),
         (lambda F: energies.volumetric(F, 0.0), r"bulk modulus kappa must be positive, got 0.0"),
         (lambda F: energies.with_pressure(0, F, F), r"must be a scalar, got shape \(3, 3\)"),

@@ -58,7 +58,7 @@ def test_public_names_exist_and_are_documented(package):
 
 
 def test_arrows_point_down():
-    """meshes knows nothing of forms and the other way round; _dolfinx alone reads the version."""
+    """Meshes knows nothing of forms and the other way round; _dolfinx alone reads the version."""
     for file in (ROOT / "meshes").glob("**/*.py"):
         assert not re.search(r"^\s*(from|import) forms", file.read_text(), re.MULTILINE), file
     for file in (ROOT / "forms").glob("**/*.py"):
@@ -79,7 +79,7 @@ def test_packages_are_all_listed():
 
 
 def test_the_wheel_works_outside_the_checkout(tmp_path):
-    """Built, installed into a fresh environment, imported there from the wheel and not from here."""
+    """Built, installed into a fresh environment, imported from there and not from here."""
     source = tmp_path / "source"
     source.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE", "forms", "meshes"):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import ufl
 from cases import at_plane, rates, unit_mesh, whole
+from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.optimize import brentq
 
@@ -243,6 +244,40 @@ def test_spring_holds_a_free_body():
     mean = [forms.integral(u[i] * ufl.dx) for i in range(3)]
     assert mean == pytest.approx([0.05, 0, -0.1], abs=1e-10)
     assert path.steps[0].convergence.converged
+
+
+def test_measures_with_and_without_names_mix():
+    """ufl.dx beside body.dx("name") in one potential, as DOLFINx alone refuses."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=1)
+    u = forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 1.0)
+    load = forms.body_force(u, (0.3, 0.0))
+    forms.solve(psi * ufl.dx + forms.spring(u, 3.0, body.dx("body")) + load, u)
+    assert forms.integral(u[0] * ufl.dx) == pytest.approx(0.1, rel=1e-9)
+
+
+def test_a_scalar_minimization():
+    """Int u^2 / 2 - u over any scalar space: u = 1."""
+    mesh = unit_mesh(2, 2)
+    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
+    forms.solve((u**2 / 2 - u + ufl.inner(ufl.grad(u), ufl.grad(u))) * ufl.dx, u)
+    assert u.x.array == pytest.approx(1, rel=1e-9)
+
+
+def test_a_residual_without_potential():
+    """A linear form in place of the potential: R[v] = int P : grad v - t . v."""
+    path, body = bending(rtol=1e-12)
+    u = forms.displacement(body)
+    psi = forms.energies.neo_hookean(F := forms.deformation_gradient(u), 1.0, 2.0)
+    v = ufl.TestFunction(u.function_space)
+    P = forms.stress.first_piola(psi, F)
+    P2 = ufl.as_matrix([[P[0, 0], P[0, 1]], [P[1, 0], P[1, 1]]])
+    t = forms.load_factor(body)
+    R = ufl.inner(P2, ufl.grad(v)) * ufl.dx - t * ufl.inner(ufl.as_vector([0, -0.01]), v) * body.ds(
+        "right"
+    )
+    forms.follow(R, u, [forms.clamp(u, body.facets("left"))], t, rtol=1e-12, progress=False)
+    assert u.x.array == pytest.approx(path.u.x.array, abs=1e-10)
 
 
 def test_a_failed_path_keeps_the_last_converged_state():

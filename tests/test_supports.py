@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Supports: rigid motions are exact, follow the load factor, and bad ones are refused."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import ufl
 from cases import at_plane, unit_mesh
 from dolfinx import fem
+from dolfinx.mesh import CellType, create_box
 
 import forms
 
@@ -26,7 +29,7 @@ def rotation(axis, angle):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("mixed", [False, True])
 def test_rotation_is_rigid_and_follows_the_load(degree, mixed):
-    """U = (R - I)(X - c) + shift at every node of the facets, at any load factor; free elsewhere."""
+    """U = (R - I)(X - c) + shift at every node of the facets at any load; free elsewhere."""
     mesh = unit_mesh(3, 2)
     w = forms.displacement_pressure(mesh) if mixed else forms.displacement(mesh, degree)
     t = forms.load_factor(mesh)
@@ -75,6 +78,32 @@ def test_clamp_and_roller():
     assert np.all(values[np.isclose(x[:, 1], 0)] == 0)
     corner = np.isclose(x[:, 0], 0) & np.isclose(x[:, 1], 1)
     assert values[corner].ravel() == pytest.approx([0.0, 7.0])
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_every_node_of_the_facets_is_reached(mixed):
+    """Few cells and few nodes: each cell that touches the facets is evaluated, whatever its number."""
+    mesh = create_box(
+        MPI.COMM_SELF, [[0, 0, 0], [4, 1, 1]], [4, 1, 1], cell_type=CellType.hexahedron
+    )
+    w = forms.displacement_pressure(mesh) if mixed else forms.displacement(mesh, 2)
+    t = forms.load_factor(mesh, 0.5)
+    for axis, place in ((0, 0.0), (0, 4.0), (1, 1.0)):
+        w.x.array[:] = 0
+        apply(w, forms.translate(w, at_plane(mesh, axis, place), (0.2 * t, t, -t)))
+        u = forms.displacement_of(w)
+        on = np.isclose(u.function_space.tabulate_dof_coordinates()[:, axis], place)
+        values = u.x.array.reshape(-1, 3)
+        assert np.abs(values[on] - [0.1, 0.5, -0.5]).max() < 1e-15
+        assert np.all(values[~on] == 0)
+
+
+def test_numbers_of_any_kind_are_values():
+    """Python, NumPy and UFL numbers, 0 * t among them."""
+    mesh = unit_mesh(3)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    apply(u, forms.translate(u, at_plane(mesh, 0, 1.0), (0 * t, np.int64(2), np.float64(0.5))))
+    assert forms.at(u, (1, 1, 1)) == pytest.approx([0, 2, 0.5])
 
 
 def test_prescribed_field_of_the_reference_point():

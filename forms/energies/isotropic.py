@@ -8,6 +8,7 @@ or J^(-2/3) infinite or NaN; a solve refuses such states. The others are finite 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 
 import ufl
 
@@ -36,7 +37,7 @@ def neo_hookean(F: Expr, mu: Expr, lmbda: Expr) -> Expr:
 
     Source: document 003, (16).
     """
-    lnJ = ufl.ln(ufl.det(_checked(F, "neo_hookean", mu)))
+    lnJ = ufl.ln(ufl.det(_checked(F, "neo_hookean", mu=mu, lmbda=lmbda)))
     return mu / 2 * (ufl.inner(F, F) - 3) - mu * lnJ + lmbda / 2 * lnJ**2
 
 
@@ -48,7 +49,7 @@ def neo_hookean_quadratic(F: Expr, mu: Expr, lmbda: Expr) -> Expr:
     Arguments, value at rest and domain as :func:`neo_hookean`.
     Source: document 003, the isotropic part of (21).
     """
-    J = ufl.det(_checked(F, "neo_hookean_quadratic", mu))
+    J = ufl.det(_checked(F, "neo_hookean_quadratic", mu=mu, lmbda=lmbda))
     return mu / 2 * (ufl.inner(F, F) - 3) - mu * ufl.ln(J) + lmbda / 2 * (J - 1) ** 2
 
 
@@ -79,7 +80,7 @@ def volumetric(F: Expr, kappa: Expr, law: str = "quadratic") -> Expr:
     Raises:
         ValueError: unknown law, F not 3x3, or kappa a number not above 0.
     """
-    J = ufl.det(_checked(F, "volumetric"))
+    J = ufl.det(_checked(F, "volumetric", kappa=kappa))
     check_positive("bulk modulus kappa", kappa)
     if law == "quadratic":
         return kappa / 2 * (J - 1) ** 2
@@ -95,7 +96,7 @@ def isochoric_neo_hookean(F: Expr, mu: Expr) -> Expr:
 
     Add :func:`volumetric` or :func:`with_pressure`: alone it does not resist a change of volume.
     """
-    F = isochoric(_checked(F, "isochoric_neo_hookean", mu))
+    F = isochoric(_checked(F, "isochoric_neo_hookean", mu=mu))
     return mu / 2 * (ufl.inner(F, F) - 3)
 
 
@@ -111,7 +112,7 @@ def mooney_rivlin(F: Expr, c10: Expr, c01: Expr) -> Expr:
 
     Add :func:`volumetric` or :func:`with_pressure`.
     """
-    I1, CC, _ = invariants(isochoric(_checked(F, "mooney_rivlin")))
+    I1, CC, _ = invariants(isochoric(_checked(F, "mooney_rivlin", c10=c10, c01=c01)))
     return c10 * (I1 - 3) + c01 * ((I1**2 - CC) / 2 - 3)
 
 
@@ -123,7 +124,7 @@ def yeoh(F: Expr, c1: Expr, c2: Expr, c3: Expr) -> Expr:
     Add :func:`volumetric` or :func:`with_pressure`.
     Source: Yeoh, Rubber Chem. Technol. 66 (1993) 754-771.
     """
-    F = isochoric(_checked(F, "yeoh"))
+    F = isochoric(_checked(F, "yeoh", c1=c1, c2=c2, c3=c3))
     k = ufl.inner(F, F) - 3
     return c1 * k + c2 * k**2 + c3 * k**3
 
@@ -133,7 +134,7 @@ def saint_venant_kirchhoff(F: Expr, mu: Expr, lmbda: Expr) -> Expr:
 
     Finite for every F; it softens under strong compression and has no barrier at J = 0.
     """
-    E = green_strain(_checked(F, "saint_venant_kirchhoff", mu))
+    E = green_strain(_checked(F, "saint_venant_kirchhoff", mu=mu, lmbda=lmbda))
     return mu * ufl.inner(E, E) + lmbda / 2 * ufl.tr(E) ** 2
 
 
@@ -151,7 +152,7 @@ def stable_neo_hookean(F: Expr, mu: Expr, lmbda: Expr) -> Expr:
     Source: Smith, de Goes, Kim, ACM Trans. Graph. 37 (2018) 12, with the paper's constants m, l
     chosen so that small strains have the Lamé parameters given. The last term makes psi(I) = 0.
     """
-    J = ufl.det(_checked(F, "stable_neo_hookean", mu))
+    J = ufl.det(_checked(F, "stable_neo_hookean", mu=mu, lmbda=lmbda))
     m, k = 4 * mu / 3, lmbda + 5 * mu / 6
     a = 1 + 3 * m / (4 * k)
     I1 = ufl.inner(F, F)
@@ -163,12 +164,15 @@ def stable_neo_hookean(F: Expr, mu: Expr, lmbda: Expr) -> Expr:
     )
 
 
-def _checked(F: Expr, name: str, mu: Expr = 1.0) -> Expr:
-    """F, after checking its shape and the sign of the shear modulus."""
+def _checked(F: Expr, name: str, **parameters: Expr) -> Expr:
+    """F, after checking its shape, that numbers are finite and that a shear modulus is positive."""
     if F.ufl_shape != (3, 3):
         raise ValueError(
             f"{name} needs a 3x3 F, got shape {F.ufl_shape}: pass "
             "forms.deformation_gradient(u), which is 3x3 on plane meshes too."
         )
-    check_positive("shear modulus mu", mu)
+    for parameter, value in parameters.items():
+        if isinstance(value, int | float) and not isfinite(value):
+            raise ValueError(f"{name} needs a finite {parameter}, got {value}.")
+    check_positive("shear modulus mu", parameters.get("mu", 1.0))
     return F

@@ -32,7 +32,8 @@ def transversely_isotropic_neo_hookean(
     Source: document 003, (21), with 2 beta ln J where the print has beta ln J: only so do the
     stress (23), the tangent (24) and the constants (25) belong to it.
     """
-    J = ufl.det(_checked(F, "transversely_isotropic_neo_hookean", mu))
+    constants = {"mu": mu, "lmbda": lmbda, "alpha": alpha, "beta": beta, "gamma": gamma}
+    J = ufl.det(_checked(F, "transversely_isotropic_neo_hookean", **constants))
     IV, V = fiber_invariants(F, fiber)
     axial = (alpha + 2 * beta * ufl.ln(J) + gamma * (IV - 1)) * (IV - 1) - alpha / 2 * (V - 1)
     return neo_hookean_quadratic(F, mu, lmbda) + axial
@@ -132,7 +133,7 @@ def guccione(F: Expr, C: Expr, bf: Expr, bt: Expr, bfs: Expr, fiber: Expr) -> Ex
 
     Source: Land et al., Proc. R. Soc. A 471 (2015) 20150641, section 2.
     """
-    E = green_strain(_checked(F, "guccione"))
+    E = green_strain(_checked(F, "guccione", C=C, bf=bf, bt=bt, bfs=bfs))
     EA = E * fiber
     E11, EA2 = ufl.dot(fiber, EA), ufl.dot(EA, EA)
     across = ufl.inner(E, E) - 2 * EA2 + E11**2

@@ -18,7 +18,6 @@ from ..assembly import System, system
 from ..supports import Support
 from .newton import Convergence, Newton, NotConverged
 
-
 EASY = 5  # Newton iterations up to which the next load step grows
 
 

@@ -45,7 +45,7 @@ def preset(system: System) -> dict[str, str]:
     else MUMPS.
     """
     dim = system.u.function_space.mesh.geometry.dim
-    if dim == 3 and system.minimization and system.size > DIRECT_UP_TO:
+    if dim == 3 and system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
         return multigrid()
     return direct(system.symmetric)
 

@@ -120,7 +120,7 @@ class Newton:
         self._last = (np.inf, 0.0)
         self._size = _model_size(system)
         self._displacements = _displacement_dofs(system)
-        if system.minimization:
+        if system.minimization and system.is_displacement:
             self.A.setNearNullSpace(linear.rigid_modes(system.u.function_space))
         self._build(self._preset)
 
