@@ -82,7 +82,7 @@ def test_clamp_and_roller():
 
 @pytest.mark.parametrize("mixed", [False, True])
 def test_every_node_of_the_facets_is_reached(mixed):
-    """Few cells and few nodes: each cell that touches the facets is evaluated, whatever its number."""
+    """Few cells and nodes: each cell that touches the facets is evaluated, whatever its number."""
     mesh = create_box(
         MPI.COMM_SELF, [[0, 0, 0], [4, 1, 1]], [4, 1, 1], cell_type=CellType.hexahedron
     )

@@ -115,6 +115,7 @@ class Newton:
         self._x_before = self.b.duplicate()
         self._user = {**(options or {}), **_command_line(prefix)}
         self._preset = linear.preset(system)
+        self._presets: set[str] = set()
         self._imbalance: float | None = None
         self._reactions, self._rounding, self._correction = 0.0, 0.0, np.inf
         self._last = (np.inf, 0.0)
@@ -126,18 +127,6 @@ class Newton:
 
     def _build(self, preset: Mapping[str, str]) -> None:
         """Make the SNES: ``snes``, and ``_by_residual``, the same without the energy."""
-        self.snes = self._by_residual = self._create(preset)
-        if self.system.minimization:
-            # An objective once set cannot be taken back.
-            self._by_residual = self._create(preset)
-            self.snes.setObjective(self._objective)
-
-    def _create(self, preset: Mapping[str, str]) -> PETSc.SNES:
-        snes = PETSc.SNES().create(self.system.comm)
-        snes.setOptionsPrefix(self.prefix)
-        snes.setFunction(self._residual, self.b.duplicate())
-        snes.setJacobian(self._tangent, self.A)
-        snes.setConvergenceTest(self._test)
         base = {
             "snes_type": "newtonls",
             "snes_linesearch_type": "bt",
@@ -146,9 +135,24 @@ class Newton:
         }
         if "pc_type" in self._user:  # another preconditioner has no use for this one's options
             preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
+        self._presets |= {*base, *preset}
         database = PETSc.Options()
         for key, value in {**base, **preset, **self._user}.items():
             database[self.prefix + key] = value
+        self.snes = self._by_residual = self._create(None)
+        if self.system.minimization:
+            # An objective once set cannot be taken back; the factorization is shared.
+            self._by_residual = self._create(self.snes.getKSP())
+            self.snes.setObjective(self._objective)
+
+    def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
+        snes = PETSc.SNES().create(self.system.comm)
+        snes.setOptionsPrefix(self.prefix)
+        snes.setFunction(self._residual, self.b.duplicate())
+        snes.setJacobian(self._tangent, self.A)
+        snes.setConvergenceTest(self._test)
+        if ksp is not None:
+            snes.setKSP(ksp)
         snes.setFromOptions()
         return snes
 
@@ -214,7 +218,12 @@ class Newton:
         self._imbalance = self.b.norm()
 
     def destroy(self) -> None:
-        """Free the PETSc objects; their callbacks refer to this object, so no one else would."""
+        """Free the PETSc objects (their callbacks refer to this one) and take the presets back.
+
+        The user's options stay in PETSc's database, which names at the end those it never used.
+        """
+        for key in self._presets - set(self._user):
+            PETSc.Options().delValue(self.prefix + key)
         for item in (self.snes, self._by_residual, self.A, self.b, self.x, self._x_before):
             item.destroy()
 
