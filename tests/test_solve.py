@@ -322,6 +322,49 @@ def test_a_failed_solve_gives_the_old_state_back():
     assert np.all(u.x.array == 0.001)
 
 
+def right_edge(mesh):
+    """Measure of the edge x = 1."""
+    facets = at_plane(mesh, 0, 1.0)
+    tags = dmesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
+    return ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+
+
+@pytest.mark.parametrize("mode", ["energy", "residual"])
+def test_states_without_a_finite_energy_are_refused(mode):
+    """Inside out, the residual mu (F - F^-T) is finite but the energy is not: no solution."""
+    mesh = unit_mesh(2, 1)
+    u = forms.displacement(mesh)
+    u.interpolate(lambda x: (-2 * x[0], 0 * x[1]))
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 0.0) * ufl.dx
+    v = ufl.TestFunction(u.function_space)
+    work = forms.follower_pressure(u, 1e-3, v, ufl.ds(mesh)) if mode == "residual" else None
+    support = forms.prescribe(u, whole(mesh), [-2 * ufl.SpatialCoordinate(mesh)[0], 0.0])
+    with pytest.raises(forms.NotConverged, match=r"0 iterations \(the energy is not finite"):
+        forms.solve(psi, u, [support], virtual_work=work)
+
+
+@pytest.mark.parametrize("mode", ["energy", "residual"])
+def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
+    """A traction of -3 mu: the first full step is to a stretch of -1/2, the solution at 0.303."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    potential = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 0.0) * ufl.dx
+    supports = [forms.roller(u, at_plane(mesh, axis, 0.0), axis) for axis in range(2)]
+    load = forms.dead_traction(u, (-3.0, 0.0), right_edge(mesh))
+    work = None
+    if mode == "energy":
+        potential = potential + load
+    else:
+        work = forms.residual(load, u)
+    seen = []
+    energy = forms.System.energy
+    monkeypatch.setattr(forms.System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
+    forms.solve(potential, u, supports, virtual_work=work)
+    assert not np.all(np.isfinite(seen))
+    stretch = (-3 + np.sqrt(13)) / 2  # mu (L - 1/L) = -3 mu
+    assert forms.at(u, (1.0, 0.0))[0] == pytest.approx(stretch - 1, rel=1e-8)
+
+
 def test_negative_and_decreasing_loads():
     """The load factor may fall, and start anywhere."""
     mesh = unit_mesh(2, 1)
@@ -371,6 +414,14 @@ def test_an_interrupted_path_leaves_the_last_converged_state():
         forms.follow(psi, u, supports, t, on_step=interrupt, progress=False)
     assert 0.3 <= float(t.value) < 1
     assert forms.at(u, (1.0, 0.5)) == pytest.approx([0.3 * float(t.value), 0], abs=1e-14)
+
+
+def test_no_way_to_go_is_refused():
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh, 1.0)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    with pytest.raises(ValueError, match=r"the load factor is at 1.0 already: use solve"):
+        forms.follow(psi, u, [], t, to=1.0, progress=False)
 
 
 @pytest.mark.parametrize(("name", "value"), [("step", 0.0), ("min_step", -1.0), ("max_step", 0.0)])

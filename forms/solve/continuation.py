@@ -235,10 +235,12 @@ class _Walk:
     ) -> _Walk:
         """Steps with their defaults; refuses lengths that are not positive."""
         way = abs(end - begin)
+        if way == 0:
+            raise ValueError(f"the load factor is at {end} already: use solve, or another to=.")
         first = way / 10 if step is None else step
         least = way / 1000 if least is None else least
         most = 2 * first if most is None else most
-        if not np.isfinite(way) or (way and not min(first, least, most) > 0):
+        if not (np.isfinite(way) and min(first, least, most) > 0):
             raise ValueError(
                 f"load steps must be positive and the way finite, got step = {first}, min_step = "
                 f"{least}, max_step = {most} from {begin} to {end}."

@@ -28,7 +28,7 @@ NEAR = 1e-3
 CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
 REASONS = {
-    -1: "the function domain was left",
+    -1: "the energy is not finite at the start",
     -3: "the linear solver failed",
     -4: "the residual is not finite",
     -5: "the iterations were used up",
@@ -171,6 +171,9 @@ class Newton:
             system.tangent(self.A)
             diagonal = linear.largest_diagonal(self.A, system.constrained)
             self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
+        if system.has_energy and not np.isfinite(system.energy()):
+            self._imbalance = None
+            return Convergence(False, REASONS[-1], -1, 0, 0, np.inf, 0.0, np.inf)
         outcome = self._run(system.minimization)
         if outcome.code == -3 and "gamg" in self._preset.values() and "pc_type" not in self._user:
             self._preset = linear.direct(system.symmetric)
