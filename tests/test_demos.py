@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Each demo runs as a reader would start it, in an empty folder, and reaches its known number."""
+
+import json
+from math import pi
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+DEMOS = sorted(file.stem for file in (ROOT / "demos").glob("*.py"))
+
+
+@pytest.fixture
+def demo(run, tmp_path):
+    """Run a demo and return the numbers it wrote, after checking its path and its files."""
+
+    def start(name, *files, ranks=1):
+        done = run("-m", f"demos.{name}", ranks=ranks, cwd=tmp_path)
+        folder = tmp_path / "results" / name
+        for file in (f"{name}.png", *files):
+            assert (folder / file).stat().st_size > 10_000, file
+        assert any((folder / f"{name}.bp").iterdir())
+        assert {entry.name for entry in tmp_path.iterdir()} == {"results"}
+        numbers = json.loads((folder / f"{name}.json").read_text())
+        assert numbers["completed"] and numbers["ranks"] == ranks
+        return numbers, done.stdout
+
+    return start
+
+
+def test_twist(demo):
+    """One turn is reached; at small angles the moment is Saint-Venant's and some percent."""
+    numbers, _ = demo("twist")
+    assert numbers["steps"][-1]["load"] == pytest.approx(2 * pi, rel=1e-12)
+    assert 1.0 < numbers["moment_over_saint_venant"] < 1.05
+
+
+def test_cook(demo):
+    """P2-P1 reach 6.93 mm from below, P1 lock, and the table shows it."""
+    numbers, printed = demo("cook", "deflection.png")
+    assert numbers["corner"] == pytest.approx(6.93, abs=0.01)
+    table = numbers["table"]
+    for rise in table.values():
+        assert np.all(np.diff(rise) > 0) and rise[-1] < numbers["corner"]
+    assert table["P1"][-1] < 4.5 < 6.7 < table["P2-P1"][0]
+    assert f"{numbers['corner']:.4f}" in printed
+
+
+def test_bar(demo):
+    """The benchmark's point reaches its converged place (Land et al. 2015, problem 1)."""
+    numbers, _ = demo("bar")
+    assert numbers["z"] == pytest.approx(4.17, abs=0.01)
+    assert numbers["x"] == pytest.approx(9.18, abs=0.01)
+    assert numbers["volume"] == pytest.approx(10, rel=1e-9)
+
+
+def test_torsion(demo):
+    """Moment and force converge to Rivlin's with fourth order, the displacement with third."""
+    numbers, _ = demo("torsion", "convergence.png")
+    sizes, rates = np.array(numbers["sizes"]), numbers["rates"]
+    assert numbers["errors"]["moment"][-1] < 2e-4 * pi / 2
+    assert numbers["errors"]["force"][-1] < 1e-3 * pi / 4
+    assert rates["moment"] == pytest.approx(4, abs=0.4)
+    assert rates["force"] == pytest.approx(4, abs=0.4)
+    assert rates["displacement"] == pytest.approx(3, abs=0.3)
+    for name, errors in numbers["errors"].items():
+        ends = np.log(errors[0] / errors[-1]) / np.log(sizes[0] / sizes[-1])
+        assert rates[name] == pytest.approx(ends, abs=0.1), name
+
+
+def test_import_cad(demo):
+    """The wall bears 60 N, the mesh has the CAD's volume, and the table tells the faces apart."""
+    numbers, printed = demo("import_cad", "bracket.step")
+    assert numbers["force"] == pytest.approx([0, 0, 60], abs=1e-6 * 60)
+    assert numbers["volume"] == pytest.approx(numbers["volume_cad"], rel=1e-4)
+    assert numbers["volume_cad"] == pytest.approx(24303.009122724, rel=1e-9)
+    # Two plates minus the hole, plus the fillet: r^2 (1 - pi/4) times the width.
+    plates = 60 * 40 * 6 + 6 * 40 * 44
+    assert plates - pi * 64 * 6 + 64 * (1 - pi / 4) * 40 == pytest.approx(numbers["volume_cad"])
+    assert printed.count("mm^2 about") == 10
+
+
+@pytest.mark.slow
+def test_twist_on_two_ranks_gives_the_numbers_of_one(demo):
+    """Every step, moment and volume ratio to 1e-6, at the default tolerances."""
+    one, _ = demo("twist")
+    two, _ = demo("twist", ranks=2)
+    assert len(one["steps"]) == len(two["steps"])
+    for a, b in zip(one["steps"], two["steps"], strict=True):
+        assert b["load"] == pytest.approx(a["load"], rel=1e-12)
+        assert b["records"] == pytest.approx(a["records"], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_demos_keep_their_form(name):
+    """Cells, a title, an assert, "Try next" last; at most 120 lines; a place in README."""
+    text = (ROOT / "demos" / f"{name}.py").read_text()
+    lines, cells = text.splitlines(), text.split("# %%")[1:]
+    assert lines[0] == "# SPDX-License-Identifier: MIT"
+    assert len(lines) <= 120 and max(map(len, lines)) <= 100
+    assert cells[0].lstrip().startswith("[markdown]\n# # ")
+    assert cells[-1].lstrip().startswith("[markdown]\n# Try next")
+    assert "assert " in text and f'Path("results/{name}")' in text and "def main" not in text
+    page, figure = (ROOT / "demos" / "README.md").read_text(), ROOT / "demos" / "figures"
+    assert f"| `{name}` |" in page and f"`docker/enter python3 -m demos.{name}`" in page
+    assert f"(figures/{name}.png)" in page
+    assert 10_000 < (figure / f"{name}.png").stat().st_size <= 100_000
