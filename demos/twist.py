@@ -60,7 +60,7 @@ vtx.close()
 say(path.reason)
 
 # %% [markdown]
-# The picture shows the Cauchy shear stress that carries the moment.
+# The picture shows the von Mises stress: the shear that carries the moment.
 
 # %%
 sigma = forms.stress.cauchy(psi, F)

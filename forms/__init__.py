@@ -4,6 +4,7 @@
 from . import energies, stress
 from .assembly import System, system
 from .condensation import plane_stress
+from .fields import field
 from .kinematics import (
     almansi_strain,
     axisymmetric,
@@ -27,7 +28,6 @@ from .pictures import picture
 from .results import (
     at,
     displacement_of,
-    field,
     integral,
     resultant,
     smallest_volume_ratio,

@@ -16,8 +16,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, io
 
-from . import _dolfinx
 from ._parallel import on_rank_zero
+from .fields import Evaluation, discontinuous
 from .kinematics import Expr
 from .results import displacement_of
 from .solve.continuation import Path
@@ -48,22 +48,16 @@ class VTX:
         W = displacement_of(u).function_space
         mesh, degree = W.mesh, W.ufl_element().embedded_superdegree
         family = "Discontinuous Lagrange" if fields else "Lagrange"
-        shapes = {"displacement": (mesh.geometry.dim,)}
-        shapes |= {name: ufl.as_ufl(e).ufl_shape for name, e in fields.items()}
-        self._functions = {
-            name: fem.Function(
-                fem.functionspace(mesh, (family, degree, s) if s else (family, degree)), name=name
-            )
-            for name, s in shapes.items()
-        }
-        self._expressions = {
-            name: fem.Expression(
-                e, _dolfinx.interpolation_points(self._functions[name].function_space)
-            )
-            for name, e in fields.items()
-        }
+        V = fem.functionspace(mesh, (family, degree, (mesh.geometry.dim,)))
+        self._displacement = fem.Function(V, name="displacement")
+        shapes = {name: ufl.as_ufl(e).ufl_shape for name, e in fields.items()}
+        written = [
+            fem.Function(discontinuous(mesh, degree, shape), name=name)
+            for name, shape in shapes.items()
+        ]
+        self._fields = [Evaluation(e, f) for e, f in zip(fields.values(), written, strict=True)]
         on_rank_zero(mesh.comm, lambda: self._file.parent.mkdir(parents=True, exist_ok=True))
-        outputs = list(self._functions.values())
+        outputs = [self._displacement, *written]
         self._writer = io.VTXWriter(mesh.comm, str(self._file), outputs, engine="BP4")
 
     def __call__(self, path: Path) -> None:
@@ -72,9 +66,9 @@ class VTX:
 
     def write(self, load: float) -> None:
         """Write the present state of the unknown under a load factor (ParaView's time)."""
-        self._functions["displacement"].interpolate(displacement_of(self._unknown))
-        for name, expression in self._expressions.items():
-            self._functions[name].interpolate(expression)
+        self._displacement.interpolate(displacement_of(self._unknown))
+        for evaluation in self._fields:
+            evaluation.update()
         self._writer.write(load)
 
     def close(self) -> None:

@@ -15,8 +15,8 @@ import ufl
 from dolfinx import fem, plot
 from numpy.typing import NDArray
 
-from . import _dolfinx
 from ._parallel import on_rank_zero
+from .fields import discontinuous, field
 from .kinematics import Expr
 from .results import displacement_of
 
@@ -24,9 +24,10 @@ from .results import displacement_of
 def picture(
     shown: Any,
     filename: str | FilePath,
-    field: Expr | None = None,
+    color: Expr | None = None,
     label: str = "|u|",
     *,
+    limits: tuple[float, float] | None = None,
     view: tuple[float, float, float] | None = None,
     title: str = "",
     scale: float = 1.0,
@@ -38,8 +39,9 @@ def picture(
     Args:
         shown: Path, or an unknown (for a mixed one its displacement is shown).
         filename: PNG file.
-        field: UFL scalar to color by; by default the displacement's magnitude.
+        color: UFL scalar to color by; by default the displacement's magnitude.
         label: Text of the color bar, with the unit.
+        limits: Least and largest value of the color bar; by default those of the field.
         view: Direction from the body to the camera; by default from the front right above in 3D,
             along z for plane bodies.
         title: Text above the picture.
@@ -48,13 +50,13 @@ def picture(
         size: Width and height in pixels.
 
     Raises:
-        ValueError: the field is no scalar, or the name does not end in .png.
+        ValueError: the color is no scalar, or the name does not end in .png.
         RuntimeError: no display can be made (Xvfb is not installed).
     """
     if FilePath(filename).suffix != ".png":
         raise ValueError(f"a picture needs a name that ends in .png, got {filename}.")
     u = displacement_of(getattr(shown, "u", shown))
-    color = ufl.sqrt(ufl.inner(u, u)) if field is None else field
+    color = ufl.sqrt(ufl.inner(u, u)) if color is None else color
     if ufl.as_ufl(color).ufl_shape != ():
         raise ValueError(f"a picture is colored by a scalar, got shape {color.ufl_shape}.")
     comm = u.function_space.mesh.comm
@@ -63,7 +65,7 @@ def picture(
     dim = u.function_space.mesh.topology.dim
 
     def draw() -> None:
-        _draw(_merge(parts), filename, label, view, title, scale, reference, size, dim)
+        _draw(_merge(parts), filename, label, limits, view, title, scale, reference, size, dim)
 
     on_rank_zero(comm, draw)
 
@@ -71,14 +73,12 @@ def picture(
 def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
     """This rank's owned cells: VTK connectivity, types, points, displacements, colors."""
     mesh, degree = u.function_space.mesh, u.function_space.ufl_element().embedded_superdegree
-    V = fem.functionspace(mesh, ("Discontinuous Lagrange", degree, (mesh.geometry.dim,)))
-    Q = fem.functionspace(mesh, ("Discontinuous Lagrange", degree))
-    moved, c = fem.Function(V), fem.Function(Q)
+    moved = fem.Function(discontinuous(mesh, degree, (mesh.geometry.dim,)))
     moved.interpolate(u)
-    c.interpolate(fem.Expression(color, _dolfinx.interpolation_points(Q)))
+    c = field(color, mesh, degree)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     # mypy sees the overload for meshes only.
-    cells, types, points = plot.vtk_mesh(Q, owned)  # type: ignore[arg-type]
+    cells, types, points = plot.vtk_mesh(c.function_space, owned)  # type: ignore[arg-type]
     d = np.zeros((len(points), 3))
     d[:, : mesh.geometry.dim] = moved.x.array.reshape(-1, mesh.geometry.dim)
     return cells, types, points, d, c.x.array.copy()
@@ -110,6 +110,7 @@ def _draw(
     grid: Any,
     filename: str | FilePath,
     label: str,
+    limits: tuple[float, float] | None,
     view: tuple[float, float, float] | None,
     title: str,
     scale: float,
@@ -141,7 +142,8 @@ def _draw(
     }
     # Mostly ambient light: shading must not turn a color into another one of the bar.
     light: dict[str, Any] = {"lighting": False} if dim == 2 else {"ambient": 0.55, "diffuse": 0.5}
-    plotter.add_mesh(surface, scalars="color", cmap="viridis", scalar_bar_args=bar, **light)
+    light |= {"scalars": "color", "cmap": "viridis", "clim": limits}
+    plotter.add_mesh(surface, scalar_bar_args=bar, **light)
     edges = surface.extract_feature_edges(40, boundary_edges=True, non_manifold_edges=False)
     if edges.n_points:
         plotter.add_mesh(edges, color="black", line_width=1.5)

@@ -14,7 +14,6 @@ import ufl
 from dolfinx import fem, geometry
 from numpy.typing import NDArray
 
-from . import _dolfinx
 from ._parallel import bounding_box
 from .assembly import System
 from .kinematics import Expr
@@ -67,8 +66,8 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
     """Value of a function at a point of the reference body, alike on all ranks.
 
     Args:
-        f: Function, as a displacement or the outcome of :func:`field`; for a mixed unknown its
-            ``displacement_of(w)``.
+        f: Function, as a displacement or the outcome of :func:`forms.field`; for a mixed unknown
+            its ``displacement_of(w)``.
         point: Coordinates in the reference body [m].
         tolerance: Distance from the mesh, relative to its size, at which a point still counts as
             on it (curved boundaries, rounding).
@@ -92,25 +91,6 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
         )
     value = f.eval(x, [cell]) if mesh.comm.rank == rank else None
     return np.atleast_1d(mesh.comm.bcast(value, root=rank))
-
-
-def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
-    """An expression as a function of discontinuous Lagrange elements, by interpolation.
-
-    Args:
-        expression: UFL scalar, vector or tensor, as ``stress.cauchy(psi, F)``.
-        mesh: Mesh.
-        degree: Degree of the elements; 0 takes the value at the middle of a cell.
-        name: Name for files and pictures.
-    """
-    shape = ufl.as_ufl(expression).ufl_shape
-    element = (
-        ("Discontinuous Lagrange", degree, shape) if shape else ("Discontinuous Lagrange", degree)
-    )
-    f = fem.Function(fem.functionspace(mesh, element), name=name)
-    f.interpolate(fem.Expression(expression, _dolfinx.interpolation_points(f.function_space)))
-    f.x.scatter_forward()
-    return f
 
 
 def displacement_of(u: fem.Function) -> fem.Function:

@@ -77,6 +77,24 @@ def test_fields_and_points(sheared):
         forms.at(f, (1.5, 0, 0))
 
 
+def test_fields_that_live_at_quadrature_points(tmp_path):
+    """The stress of a condensed sheet is projected: exact where it is constant, P33 = 0."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh, degree=2)
+    u.interpolate(lambda x: (0.4 * x[0], 0.1 * x[1]))
+    F = forms.plane_stress(u, lambda F: forms.energies.neo_hookean(F, 1.0, 2.0))
+    psi = forms.energies.neo_hookean(F, 1.0, 2.0)
+    forms.system(psi * ufl.dx, u).update_dependents()
+    P = forms.stress.first_piola(psi, F)
+    values = forms.at(forms.field(P, mesh), (0.3, 0.6)).reshape(3, 3)
+    stretch = forms.at(forms.field(F[2, 2], mesh), (0.3, 0.6))[0]
+    P11 = 1.4 - 1 / 1.4 + 2 * np.log(1.4 * 1.1 * stretch) / 1.4
+    assert values[0, 0] == pytest.approx(P11, rel=1e-12)
+    assert abs(values[2, 2]) < 1e-13
+    forms.picture(u, tmp_path / "sheet.png", P[0, 0], "P11 [Pa]", limits=(0, 2), size=(300, 200))
+    forms.VTX(tmp_path / "sheet.bp", u, P=P).write(0.0)
+
+
 def test_volumes():
     """U = (a x, b y, c z): volume and smallest J are (1 + a)(1 + b)(1 + c)."""
     mesh = unit_mesh(3, 2)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""UFL expressions as functions of discontinuous elements, for files, pictures and points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from petsc4py import PETSc
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from ufl.algorithms import extract_coefficients
+
+from . import _dolfinx
+from .kinematics import Expr
+
+
+def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
+    """An expression as a function of discontinuous Lagrange elements. Collective.
+
+    By interpolation; where the expression lives at quadrature points only (as the thickness stretch
+    of :func:`forms.plane_stress` does), by the L2 projection in each cell.
+
+    Args:
+        expression: UFL scalar, vector or tensor, as ``stress.cauchy(psi, F)``.
+        mesh: Mesh.
+        degree: Degree of the elements; 0 takes the value at the middle of a cell.
+        name: Name for files and pictures.
+    """
+    f = fem.Function(discontinuous(mesh, degree, ufl.as_ufl(expression).ufl_shape), name=name)
+    Evaluation(expression, f).update()
+    return f
+
+
+def discontinuous(mesh: Any, degree: int, shape: tuple[int, ...] = ()) -> fem.FunctionSpace:
+    """Discontinuous Lagrange space of scalars, or of tensors of a shape."""
+    element = ("Discontinuous Lagrange", degree)
+    return fem.functionspace(mesh, (*element, shape) if shape else element)
+
+
+class Evaluation:
+    """An expression compiled for being written into a function again and again.
+
+    Args:
+        expression: UFL expression of the function's shape.
+        f: Function of discontinuous Lagrange elements.
+    """
+
+    def __init__(self, expression: Expr, f: fem.Function) -> None:
+        self._f = f
+        V = f.function_space
+        at_points = [
+            c.ufl_element().embedded_superdegree
+            for c in extract_coefficients(ufl.as_ufl(expression))
+            if c.ufl_element().has_custom_quadrature
+        ]
+        self._projected = bool(at_points)
+        if not self._projected:
+            self._expression = fem.Expression(expression, _dolfinx.interpolation_points(V))
+            return
+        dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": max(at_points)})
+        v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
+        self._mass = fem.form(ufl.inner(w, v) * dx)
+        self._moments = fem.form(ufl.inner(expression, v) * dx)
+
+    def update(self) -> None:
+        """Evaluate the expression at present values. Collective."""
+        if self._projected:
+            self._project()
+        else:
+            self._f.interpolate(self._expression)
+        self._f.x.scatter_forward()
+
+    def _project(self) -> None:
+        M, b = fem_petsc.create_matrix(self._mass), _dolfinx.create_vector(self._moments)
+        fem_petsc.assemble_matrix(M, self._mass)
+        M.assemble()
+        fem_petsc.assemble_vector(b, self._moments)
+        ksp = PETSc.KSP().create(self._f.function_space.mesh.comm)
+        ksp.setOperators(M)
+        ksp.setType("preonly")
+        ksp.getPC().setType("lu")
+        ksp.getPC().setFactorSolverType("mumps")
+        ksp.solve(b, self._f.x.petsc_vec)
+        for item in (ksp, M, b):
+            item.destroy()
