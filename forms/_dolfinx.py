@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The one place that knows DOLFINx's version; everything else calls these functions.
 
-Tested with 0.9 (UFL 2024.2, PETSc 3.22). Each difference names the release that made it; delete
-the older branch when that release is no longer supported.
+Tested with 0.9 (UFL 2024.2, PETSc 3.22) and 0.11 (UFL 2026.1, PETSc 3.25). Each difference names
+the release that made it; delete the older branch when that release is no longer supported.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import dolfinx
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, geometry
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
@@ -36,6 +36,12 @@ def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
     return points() if callable(points) else points
 
 
+def collapse(view: fem.FunctionSpace) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
+    """Space of a view, and its degrees of freedom in the whole (0.11: a list per cell type)."""
+    V, numbers = view.collapse()
+    return V, np.asarray(numbers, dtype=np.int32).ravel()
+
+
 def create_vector(form: fem.Form) -> Any:
     """PETSc vector with ghosts of a linear form (0.10: of a function space)."""
     if LATER:
@@ -43,7 +49,8 @@ def create_vector(form: fem.Form) -> Any:
     return fem_petsc.create_vector(form)
 
 
-def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
-    """Geometry nodes of each local cell, shape (cells, nodes) (0.11: a list of them)."""
-    geometry = mesh.geometry
-    return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+def bounding_boxes(
+    mesh: dolfinx.mesh.Mesh, dim: int, entities: NDArray[np.int32]
+) -> geometry.BoundingBoxTree:
+    """Tree of the bounding boxes of entities (0.10: these go by name only)."""
+    return geometry.bb_tree(mesh, dim, entities=entities)

@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem, geometry
 from numpy.typing import NDArray
 
+from . import _dolfinx
 from ._parallel import bounding_box
 from .assembly import System
 from .kinematics import Expr
@@ -46,11 +47,11 @@ def resultant(
     b = system.create_vector()
     system.residual(b)
     view = V.sub(0) if is_mixed(V) else V
-    W, numbers = view.collapse() if is_mixed(V) else (V, None)
+    W, numbers = _dolfinx.collapse(view) if is_mixed(V) else (V, None)
     dim = W.mesh.geometry.dim
     nodes = _owned_nodes(W, facets)
     dofs = nodes[:, None] * dim + np.arange(dim)
-    parent = dofs if numbers is None else np.asarray(numbers)[dofs]
+    parent = dofs if numbers is None else numbers[dofs]
     R, x = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 3))
     R[:, :dim] = b.array_r[parent]
     b.destroy()
@@ -139,7 +140,7 @@ def _closest_cell(mesh: Any, x: Array) -> tuple[int, float]:
     owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
     if not len(owned):
         return -1, np.inf
-    tree = geometry.bb_tree(mesh, dim, owned)
+    tree = _dolfinx.bounding_boxes(mesh, dim, owned)
     middles = geometry.create_midpoint_tree(mesh, dim, owned)
     found = geometry.compute_collisions_points(tree, x)
     inside = geometry.compute_colliding_cells(mesh, found, x).links(0)

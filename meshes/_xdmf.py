@@ -10,12 +10,16 @@ from mpi4py import MPI
 
 import basix
 import numpy as np
-import ufl
 from dolfinx.io import XDMFFile
-from dolfinx.mesh import create_mesh
 from numpy.typing import NDArray
 
-from ._dolfinx import coordinate_element, from_vtk_order
+from ._dolfinx import (
+    coordinate_element,
+    coordinate_map,
+    create_mesh,
+    from_vtk_order,
+    geometry_dofmap,
+)
 from ._grid import Grid
 
 __all__ = ["read_xdmf"]
@@ -214,7 +218,7 @@ def _read_hdf(
         cells = xdmf.read_topology_data(name)
         entities.append(Entities(name, shape.name, np.asarray(cells, np.int64), None))
         element = coordinate_element(shape.name, order, points.shape[1])
-        mesh = create_mesh(MPI.COMM_SELF, cells, points, ufl.Mesh(element))
+        mesh = create_mesh(MPI.COMM_SELF, element, points, cells)
         tdim, geometry = mesh.topology.dim, mesh.geometry
         for dim in tdim - 1, tdim:
             mesh.topology.create_connectivity(dim, 0)
@@ -227,7 +231,7 @@ def _read_hdf(
             tags = xdmf.read_meshtags(mesh, tag_name)
             kind = mesh.basix_cell() if tags.dim == tdim else None
             kind = kind or basix.cell.subentity_types(mesh.basix_cell())[tags.dim][0]
-            layout = geometry.cmap.create_dof_layout()
+            layout = coordinate_map(geometry).create_dof_layout()
             number = len(basix.topology(mesh.basix_cell())[tags.dim])
             closure = np.array([layout.entity_closure_dofs(tags.dim, i) for i in range(number)])
             to_cell = mesh.topology.connectivity(tags.dim, tdim)
@@ -236,7 +240,7 @@ def _read_hdf(
             if tags.dim < tdim:
                 sides = mesh.topology.connectivity(tdim, tags.dim).array.reshape(-1, number)
                 local = np.argmax(sides[owner] == tags.indices[:, None], axis=1)
-            dofs = geometry.dofmap[owner[:, None], closure[local]]
+            dofs = geometry_dofmap(geometry)[owner[:, None], closure[local]]
             nodes = geometry.input_global_indices[dofs]
             entities.append(Entities(tag_name, kind.name, nodes, tags.values.astype(np.int32)))
     return points, entities

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from .. import _dolfinx
 from .._parallel import bounding_box
 from ..assembly import System
 from ..supports import is_mixed
@@ -36,6 +37,7 @@ REASONS = {
     -8: "a local minimum of the residual was reached",
     -9: "the residual grew too large",
     -11: "the trust region became too small",
+    -14: "the energy is not finite",  # a code later than PETSc 3.22
 }
 
 
@@ -328,5 +330,5 @@ def _displacement_dofs(system: System) -> Any:
     V = system.u.function_space
     if not is_mixed(V):
         return slice(None)
-    numbers = np.asarray(V.sub(0).collapse()[1])
+    numbers = _dolfinx.collapse(V.sub(0))[1]
     return numbers[numbers < V.dofmap.index_map.size_local * V.dofmap.bs]
