@@ -234,6 +234,21 @@ def test_quadratic_convergence_near_the_solution():
     assert orders[-1] > 1.7
 
 
+def test_stiff_springs_do_not_loosen_the_tolerance():
+    """A bar held by springs of 1e14 mu at its foot: a small load is still solved to its digits."""
+    mesh = unit_mesh(2, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 0.0) * ufl.dx
+    facets = at_plane(mesh, 0, 0.0)
+    tags = dmesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
+    foot = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+    level = [forms.roller(u, at_plane(mesh, 1, 0.0), 1)]
+    springs = forms.spring(u, 1e14, foot, ufl.as_vector([1.0, 0.0]))
+    forms.solve(psi + springs + forms.body_force(u, (1e-3, 0.0)), u, level)
+    # mu (L - 1/L) = 1e-3 (1 - x): the end moves by 1e-3 / (4 mu), up to the load's square.
+    assert forms.at(u, (1.0, 0.0))[0] == pytest.approx(2.5e-4, rel=1e-3)
+
+
 def test_spring_holds_a_free_body():
     """A bar on springs without any support: stretch of the springs = load / stiffness."""
     mesh = unit_mesh(3, 1)

@@ -72,9 +72,12 @@ def rigid_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
     return PETSc.NullSpace().create(vectors=modes, comm=V.mesh.comm)
 
 
-def largest_diagonal(A: PETSc.Mat, skip: np.ndarray) -> float:
-    """Largest |A_ii| over rows that are not skipped (local numbers), on all ranks."""
-    d = A.getDiagonal()
-    d.abs()
-    d.array[skip] = 0
-    return float(d.max()[1])
+def typical_diagonal(A: PETSc.Mat, free: np.ndarray) -> float:
+    """Geometric mean of |A_ii| over rows given by local numbers, on all ranks; 0 if all are 0.
+
+    The mean and not the maximum: a few stiff springs are no measure of the body's forces.
+    """
+    d = np.abs(A.getDiagonal().array_r[free])
+    d = d[d > 0]
+    total, count = A.comm.tompi4py().allreduce(np.array([np.log(d).sum(), d.size]))
+    return float(np.exp(total / count)) if count else 0.0

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import _dolfinx
 from .._parallel import bounding_box
@@ -87,7 +88,7 @@ class Newton:
     Converged means |R_free| <= rtol * force level and max |du| <= ctol * model size. R_free are the
     out-of-balance forces where nothing is prescribed; the force level is the larger of the
     reactions' norm and of the imbalance that the load increment made, with the rounding error of
-    the forces, eps * max|K_ii| * model size * sqrt(n), as its floor.
+    the forces, eps * typical K_ii * model size * sqrt(n), as its floor.
 
     Where the problem is a minimization the line search lowers the energy until |R_free| is a
     thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
@@ -171,7 +172,8 @@ class Newton:
         self._put(self.x)
         if self._rounding == 0:
             system.tangent(self.A)
-            diagonal = linear.largest_diagonal(self.A, system.constrained)
+            free = np.setdiff1d(self._displacements, system.constrained)
+            diagonal = linear.typical_diagonal(self.A, free)
             self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
@@ -325,10 +327,11 @@ def _model_size(system: System) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _displacement_dofs(system: System) -> Any:
+def _displacement_dofs(system: System) -> NDArray[np.int32]:
     """Owned local numbers of displacement components: all but the pressure's."""
     V = system.u.function_space
+    owned = V.dofmap.index_map.size_local * V.dofmap.bs
     if not is_mixed(V):
-        return slice(None)
+        return np.arange(owned, dtype=np.int32)
     numbers = _dolfinx.collapse(V.sub(0))[1]
-    return numbers[numbers < V.dofmap.index_map.size_local * V.dofmap.bs]
+    return numbers[numbers < owned]
