@@ -387,6 +387,26 @@ def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
     assert forms.at(u, (1.0, 0.0))[0] == pytest.approx(stretch - 1, rel=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("options", "looser"),
+    [
+        ({"snes_rtol": 1e-2}, True),
+        ({"snes_atol": 1e3}, True),
+        ({"snes_type": "newtontr"}, False),
+        ({"snes_linesearch_type": "l2"}, False),
+        ({"ksp_type": "gmres", "pc_type": "ilu", "ksp_rtol": 1e-10}, False),
+    ],
+)
+def test_options_reach_petsc(options, looser):
+    """PETSc's tolerances, globalizations and linear solvers are chosen by its own names."""
+    plain, _ = bending()
+    chosen, _ = bending(options=options, ctol=1.0 if looser else 1e-6)
+    its = [sum(s.convergence.iterations for s in p.steps) for p in (plain, chosen)]
+    assert (its[1] < its[0]) == looser
+    distance = np.abs(plain.u.x.array - chosen.u.x.array).max()
+    assert (distance > 1e-6) == looser
+
+
 def test_negative_and_decreasing_loads():
     """The load factor may fall, and start anywhere."""
     mesh = unit_mesh(2, 1)

@@ -99,7 +99,8 @@ class Newton:
         system: What to solve.
         options: PETSc options without prefix, over the presets; the command line wins over both.
         prefix: Prefix of the options, as in ``-variform_snes_monitor``.
-        rtol: Tolerance of the residual.
+        rtol: Tolerance of the residual; the option snes_rtol goes over it, and snes_atol [N] sets
+            an absolute one (none by default).
         ctol: Tolerance of the last correction, relative to the model's size.
     """
 
@@ -111,12 +112,13 @@ class Newton:
         rtol: float = 1e-8,
         ctol: float = 1e-6,
     ) -> None:
-        self.system, self.rtol, self.ctol = system, rtol, ctol
-        self.prefix = prefix
+        self.system, self.ctol, self.prefix = system, ctol, prefix
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
         self._x_before = self.b.duplicate()
         self._user = {**(options or {}), **_command_line(prefix)}
+        self.rtol = float(self._user.get("snes_rtol", rtol))
+        self.atol = float(self._user.get("snes_atol", 0.0))
         self._preset = linear.preset(system)
         self._presets: set[str] = set()
         self._imbalance: float | None = None
@@ -290,7 +292,7 @@ class Newton:
         x.copy(self._x_before)
         level = max(self._reactions, self._imbalance or 0.0)
         self._last = (fnorm, level)
-        small = fnorm <= max(self.rtol * level, self._rounding)
+        small = fnorm <= max(self.rtol * level, self.atol, self._rounding)
         first = iteration == 0 and not self._resumed
         settled = first or self._correction <= self.ctol * self._size
         if small and settled:
