@@ -30,6 +30,12 @@ def geometric_dimension(domain: Any) -> int:
     return int(dim() if callable(dim) else dim)
 
 
+def topological_dimension(domain: Any) -> int:
+    """Topological dimension of a UFL mesh (a method up to UFL 2025.1, a property later)."""
+    dim = domain.topological_dimension
+    return int(dim() if callable(dim) else dim)
+
+
 def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
     """Reference points of a space's degrees of freedom (a method up to 0.9)."""
     points = V.element.interpolation_points

@@ -15,8 +15,9 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
+from ufl.algorithms.analysis import extract_constants
 
-from . import _dolfinx
+from . import _checks, _dolfinx
 from .supports import Support, is_mixed
 from .variation import Dependent, dependents, residual, tangent
 
@@ -42,6 +43,7 @@ class System:
     _residual: fem.Form
     _tangent: fem.Form
     _dependents: list[Dependent]
+    _constants: tuple[fem.Constant, ...]
     constrained: NDArray[np.int32] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -66,6 +68,17 @@ class System:
     def has_energy(self) -> bool:
         """Whether a potential was given."""
         return self._energy is not None
+
+    def depends_on(self, t: fem.Constant) -> bool:
+        """Whether the forms or the supports contain a constant."""
+        if self._dependents:  # they may contain it unseen
+            return True
+        inside = list(self._constants)
+        for support in self.supports:
+            for part in support.parts:
+                if part.expression is not None:
+                    inside += extract_constants(part.expression.ufl_expression)
+        return any(c is t for c in inside)
 
     @property
     def is_displacement(self) -> bool:
@@ -162,9 +175,12 @@ def system(
     derivatives of each other.
 
     Raises:
-        ValueError: a form of the wrong kind, or one that does not contain u.
+        ValueError: a form of the wrong kind, one that does not contain u or contains a part of it
+            from w.split(), or supports of another unknown.
     """
-    degree = _displacement_degree(u)
+    degree = _displacement_degree(_checks.function(u, "a solve"))
+    supports = _listed(supports, u)
+    _check_parts(potential, u)
     potential = with_quadrature(potential, degree)
     is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
     R = residual(potential, u) if is_energy else potential
@@ -180,14 +196,42 @@ def system(
     mixed = is_mixed(u.function_space)
     return System(
         u=u,
-        supports=tuple(supports),
+        supports=supports,
         minimization=energetic and not mixed,
         symmetric=energetic,
         _energy=fem.form(potential) if is_energy else None,
         _residual=fem.form(R),
         _tangent=fem.form(K),
         _dependents=dependents(potential),
+        _constants=tuple(R.constants()),
     )
+
+
+def _listed(supports: Iterable[Support] | Support, u: fem.Function) -> tuple[Support, ...]:
+    """Supports as a tuple, after checking that they are of this unknown."""
+    listed = (supports,) if isinstance(supports, Support) else tuple(supports)
+    for support in listed:
+        if not isinstance(support, Support):
+            raise ValueError(
+                "supports are what forms.clamp, roller, translate, rotate and prescribe return, "
+                f"got {type(support).__name__}."
+            )
+        if support.space != u.function_space:
+            raise ValueError(
+                f"a support was made for another unknown than {u.name}: make it with the unknown "
+                "that is solved for."
+            )
+    return listed
+
+
+def _check_parts(potential: Any, u: fem.Function) -> None:
+    """Refuse w.split() and w.sub(0), by which nothing would be differentiated."""
+    for c in potential.coefficients() if isinstance(potential, ufl.Form) else ():
+        if c is not u and isinstance(c, fem.Function) and np.shares_memory(c.x.array, u.x.array):
+            raise ValueError(
+                f"the potential contains {c.name}, a part of {u.name} that is not differentiated: "
+                "write it with u, p = ufl.split(w), not with w.split() or w.sub()."
+            )
 
 
 def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:

@@ -12,7 +12,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from ufl.algorithms import extract_coefficients
 
-from . import _dolfinx
+from . import _checks, _dolfinx
 from .kinematics import Expr
 
 
@@ -24,10 +24,11 @@ def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> 
 
     Args:
         expression: UFL scalar, vector or tensor, as ``stress.cauchy(psi, F)``.
-        mesh: Mesh.
+        mesh: Mesh, or an object with a ``mesh``.
         degree: Degree of the elements; 0 takes the value at the middle of a cell.
         name: Name for files and pictures.
     """
+    mesh = _checks.mesh_of(mesh)
     f = fem.Function(discontinuous(mesh, degree, ufl.as_ufl(expression).ufl_shape), name=name)
     Evaluation(expression, f).update()
     return f

@@ -14,6 +14,7 @@ import numpy as np
 import ufl
 
 from . import _dolfinx
+from ._checks import direction, vector
 
 Expr = Any  # UFL ships no types
 
@@ -41,7 +42,7 @@ def deformation_gradient(u: Expr) -> Expr:
 def axisymmetric(u: Expr) -> Expr:
     """Deformation gradient of a body of revolution about the axis r = 0, without twist.
 
-    F = [[1 + u_r,r, u_r,z, 0], [u_z,r, 1 + u_z,z, 0], [0, 0, 1 + u_r / r]]
+    F = [[1 + u_r,r, u_r,z, 0], [u_z,r, 1 + u_z,z, 0], [0, 0, 1 + u_r / r]];  u_r,r at r = 0
 
     Integrate over the meridian plane with the weight :func:`circumference`, 2 pi r.
 
@@ -49,8 +50,7 @@ def axisymmetric(u: Expr) -> Expr:
         u: Displacement (u_r, u_z) [m] on a plane mesh of coordinates (r, z), r >= 0.
 
     Returns:
-        F in the axes (r, z, hoop), shape (3, 3), a ``ufl.variable``. Quadrature points lie inside
-        cells, so r = 0 is never divided by.
+        F in the axes (r, z, hoop), shape (3, 3), a ``ufl.variable``.
 
     Raises:
         ValueError: u has not two components.
@@ -58,7 +58,9 @@ def axisymmetric(u: Expr) -> Expr:
     if _dimension(u, "axisymmetric") != 2:
         raise ValueError(f"axisymmetric needs u = (u_r, u_z), got shape {u.ufl_shape}.")
     r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
-    return _embed(u, 1 + u[0] / r)
+    # Quadrature points lie inside cells, but fields are evaluated at nodes on the axis, too.
+    hoop = ufl.conditional(ufl.gt(r, 0), u[0] / r, ufl.grad(u)[0, 0])
+    return _embed(u, 1 + hoop)
 
 
 def circumference(u: Expr) -> Expr:
@@ -144,7 +146,7 @@ def invariants(F: Expr) -> tuple[Expr, Expr, Expr]:
 
 def deformed_fiber(F: Expr, A: Expr) -> Expr:
     """Deformed fiber a = F A; |a| is its stretch when A is a unit vector."""
-    return F * A
+    return F * vector(A, (3,), "a fiber")
 
 
 def fiber_invariants(F: Expr, A: Expr) -> tuple[Expr, Expr]:
@@ -152,16 +154,13 @@ def fiber_invariants(F: Expr, A: Expr) -> tuple[Expr, Expr]:
 
     Args:
         F: Deformation gradient, shape (3, 3).
-        A: Unit fiber direction in the reference body, shape (3,); its length is not checked.
+        A: Unit fiber direction in the reference body, shape (3,).
 
     Raises:
-        ValueError: A is no vector of three components.
+        ValueError: A is no vector of three components (also on a plane mesh), or one of numbers
+            whose length is not 1.
     """
-    if A.ufl_shape != (3,):
-        raise ValueError(
-            f"a fiber direction has 3 components, also on a plane mesh; got shape {A.ufl_shape}."
-        )
-    a = deformed_fiber(F, A)
+    a = deformed_fiber(F, direction(A, "a fiber"))
     Ca = F.T * a
     return ufl.dot(a, a), ufl.dot(Ca, Ca)
 
@@ -173,7 +172,14 @@ def _dimension(u: Expr, name: str) -> int:
             f"{name} needs a displacement with 2 or 3 components, got shape {u.ufl_shape}."
         )
     dim = u.ufl_shape[0]
-    mesh_dim = _dolfinx.geometric_dimension(ufl.domain.extract_unique_domain(u))
+    domain = ufl.domain.extract_unique_domain(u)
+    mesh_dim = _dolfinx.geometric_dimension(domain)
+    if _dolfinx.topological_dimension(domain) != mesh_dim:
+        raise ValueError(
+            f"{name} needs a body that fills its space, got cells of dimension "
+            f"{_dolfinx.topological_dimension(domain)} in {mesh_dim} dimensions; membranes are not "
+            "in this release."
+        )
     if dim != mesh_dim:
         raise ValueError(
             f"{name} needs {mesh_dim} components on this mesh, got {dim}; "

@@ -11,6 +11,7 @@ import ufl
 from ufl.algorithms import extract_coefficients
 from ufl.checks import is_cellwise_constant
 
+from ._checks import measure, vector
 from .kinematics import Expr, deformation_gradient
 
 
@@ -25,7 +26,7 @@ def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:
     Raises:
         ValueError: b and u have different shapes.
     """
-    return -ufl.inner(_like(b, u, "body force"), u) * dx
+    return -ufl.inner(vector(b, u.ufl_shape, "a body force"), u) * measure(dx, "a body force")
 
 
 def dead_traction(u: Expr, t: Expr, ds: ufl.Measure) -> ufl.Form:
@@ -39,7 +40,7 @@ def dead_traction(u: Expr, t: Expr, ds: ufl.Measure) -> ufl.Form:
     Raises:
         ValueError: t and u have different shapes.
     """
-    return -ufl.inner(_like(t, u, "traction"), u) * ds
+    return -ufl.inner(vector(t, u.ufl_shape, "a traction"), u) * measure(ds, "a traction")
 
 
 def follower_pressure(u: Expr, p: Expr, v: Expr, ds: ufl.Measure, F: Expr | None = None) -> Expr:
@@ -57,8 +58,17 @@ def follower_pressure(u: Expr, p: Expr, v: Expr, ds: ufl.Measure, F: Expr | None
 
     Returns:
         Linear form for ``virtual_work``. Its tangent is unsymmetric in general.
+
+    Raises:
+        ValueError: p is no scalar, v is not of u's shape, or ds is no measure.
     """
-    return ufl.inner(p * _deformed_normal(u, F), v) * ds
+    p, v = ufl.as_ufl(p), ufl.as_ufl(v)
+    if p.ufl_shape != () or v.ufl_shape != u.ufl_shape:
+        raise ValueError(
+            f"follower_pressure needs a scalar p and a test function v of shape {u.ufl_shape}, got "
+            f"shapes {p.ufl_shape} and {v.ufl_shape}; the order is (u, p, v, ds)."
+        )
+    return ufl.inner(p * _deformed_normal(u, F), v) * measure(ds, "a pressure")
 
 
 def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure) -> ufl.Form:
@@ -68,7 +78,9 @@ def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure) -> ufl.Form:
 
     It is the potential of :func:`follower_pressure` if the loaded boundary is closed, or if its
     rim cannot move or moves only in planes through the origin (symmetry planes x = 0, y = 0, …).
-    Otherwise its derivative has forces on the rim; use :func:`follower_pressure` there.
+    Otherwise its derivative has forces on the rim; use :func:`follower_pressure` there. On a rim in
+    symmetry planes these forces are normal to the planes and change no displacement, but they are
+    part of the planes' reactions: for :func:`forms.resultant` use :func:`follower_pressure`, too.
 
     Args:
         u: Displacement [m], as many components d as the mesh has.
@@ -83,21 +95,28 @@ def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure) -> ufl.Form:
         raise ValueError(
             "a pressure that varies in space has no potential p V: use follower_pressure."
         )
-    x = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u)) + u
-    return p / u.ufl_shape[0] * ufl.inner(x, _deformed_normal(u, None)) * ds
+    X = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))
+    if X.ufl_shape != u.ufl_shape:
+        raise ValueError(
+            f"pressure_potential needs a displacement of shape {X.ufl_shape}, got {u.ufl_shape}; "
+            "of a mixed unknown w pass the u of u, p = ufl.split(w)."
+        )
+    x = X + u
+    density = p / u.ufl_shape[0] * ufl.inner(x, _deformed_normal(u, None))
+    return density * measure(ds, "a pressure")
 
 
-def spring(u: Expr, k: Expr, measure: ufl.Measure, direction: Expr | None = None) -> ufl.Form:
+def spring(u: Expr, k: Expr, dx: ufl.Measure, direction: Expr | None = None) -> ufl.Form:
     """Potential of springs at every point of a boundary (or of the body), int k/2 |u|^2.
 
     Args:
         u: Displacement [m].
         k: Stiffness per reference area [N/m^3] (per volume [N/m^4] with a cell measure).
-        measure: Where the springs are attached.
+        dx: Measure of where the springs are attached.
         direction: Unit vector; the springs then resist only u . direction.
     """
     stretch2 = ufl.inner(u, u) if direction is None else ufl.dot(u, direction) ** 2
-    return k / 2 * stretch2 * measure
+    return k / 2 * stretch2 * measure(dx, "a spring")
 
 
 def _deformed_normal(u: Expr, F: Expr | None) -> Expr:
@@ -109,12 +128,3 @@ def _deformed_normal(u: Expr, F: Expr | None) -> Expr:
         N = ufl.as_vector([N[0], N[1], 0])
     n = ufl.cofac(deformation_gradient(u) if F is None else F) * N
     return n if dim == 3 else ufl.as_vector([n[0], n[1]])
-
-
-def _like(load: Expr, u: Expr, name: str) -> Expr:
-    load = ufl.as_ufl(load) if not isinstance(load, tuple | list) else ufl.as_vector(load)
-    if load.ufl_shape != u.ufl_shape:
-        raise ValueError(
-            f"a {name} needs the shape {u.ufl_shape} of the displacement, got {load.ufl_shape}."
-        )
-    return load

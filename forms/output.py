@@ -107,7 +107,7 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
         },
         **more,
     }
-    plain = json.loads(json.dumps(content, default=_plain))
+    plain = _finite(json.loads(json.dumps(content, default=_plain)))
     if filename is not None:
         target = FilePath(filename)
 
@@ -117,6 +117,15 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
 
         on_rank_zero(system.comm, write)
     return plain
+
+
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON does not have: NaN and infinities."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _plain(value: Any) -> Any:

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem, geometry
 from numpy.typing import NDArray
 
-from . import _dolfinx
+from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from .assembly import System
 from .kinematics import Expr
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def resultant(
-    system: System, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
+    system: System | Any, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
 ) -> tuple[Array, Array]:
     """Force and moment that a support exerts on the body through a boundary.
 
@@ -35,7 +35,7 @@ def resultant(
     two supports counts for both.
 
     Args:
-        system: System at a converged state, as ``path.system``.
+        system: Path, or its system, at a converged state.
         facets: Local facet indices of the boundary.
         about: Point c that the moment is taken about [m].
 
@@ -43,7 +43,9 @@ def resultant(
         Force [N] and moment [N m], shape (3,) each, alike on all ranks. On a plane mesh the third
         force and the first two moments are 0, and both are per unit thickness.
     """
+    system = getattr(system, "system", system)
     V = system.u.function_space
+    facets = _checks.facets(V.mesh, facets)
     b = system.create_vector()
     system.residual(b)
     view = V.sub(0) if is_mixed(V) else V
@@ -77,9 +79,14 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
         Value, shape of the function (a scalar has shape (1,)).
 
     Raises:
-        ValueError: the point lies outside the mesh.
+        ValueError: the point lies outside the mesh or has too few coordinates, or f is no function
+            of one space.
     """
+    if is_mixed(_checks.function(f, "at").function_space):
+        raise ValueError("at needs a function of one space: pass displacement_of(w), not w.")
     mesh = f.function_space.mesh
+    if len(point) != mesh.geometry.dim:
+        raise ValueError(f"a point of this mesh has {mesh.geometry.dim} coordinates, got {point}.")
     x = np.zeros((1, 3))
     x[0, : len(point)] = point
     cell, distance = _closest_cell(mesh, x)
@@ -96,7 +103,7 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
 
 def displacement_of(u: fem.Function) -> fem.Function:
     """The displacement of an unknown: u itself, or a copy of the first part of a mixed one."""
-    if not is_mixed(u.function_space):
+    if not is_mixed(_checks.function(u, "displacement_of").function_space):
         return u
     f = u.sub(0).collapse()
     f.name = "displacement"
@@ -105,6 +112,10 @@ def displacement_of(u: fem.Function) -> fem.Function:
 
 def integral(form: ufl.Form) -> float:
     """Value of a functional, summed over all ranks."""
+    if not isinstance(form, ufl.Form):
+        raise ValueError(
+            f"integral needs a functional, got {type(form).__name__}: integrate a density with dx."
+        )
     compiled = fem.form(form)
     return float(compiled.mesh.comm.allreduce(fem.assemble_scalar(compiled)))
 
@@ -119,9 +130,10 @@ def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
 
     Args:
         F: Deformation gradient.
-        mesh: Mesh.
+        mesh: Mesh, or an object with a ``mesh``.
         degree: Degree of the quadrature rule whose points are looked at.
     """
+    mesh = _checks.mesh_of(mesh)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     points, _ = basix.make_quadrature(cell, degree)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)

@@ -8,6 +8,7 @@ psi must be an expression of F, and F a ``ufl.variable`` as the functions of
 from __future__ import annotations
 
 import ufl
+from ufl.corealg.traversal import unique_pre_traversal
 
 from .kinematics import Expr
 
@@ -18,12 +19,18 @@ def first_piola(psi: Expr, F: Expr) -> Expr:
     """First Piola-Kirchhoff stress P = dpsi/dF [Pa] (6): force per reference area.
 
     Raises:
-        ValueError: F is no ``ufl.variable``.
+        ValueError: F is no ``ufl.variable``, or not the one that psi was written with.
     """
     if not isinstance(F, ufl.classes.Variable):
         raise ValueError(
             "the stress is dpsi/dF and needs the ufl.variable F that psi was written with; "
             "take F from forms.deformation_gradient, or wrap yours in ufl.variable first."
+        )
+    found = (e for e in unique_pre_traversal(ufl.as_ufl(psi)) if isinstance(e, type(F)))
+    if all(e.label() != F.label() for e in found):
+        raise ValueError(
+            "psi was not written with this F, so that dpsi/dF would be 0: pass the same F to the "
+            "energy and to the stress."
         )
     return ufl.diff(psi, F)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import basix.ufl
@@ -19,7 +18,7 @@ from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
 
-from . import _dolfinx
+from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from .kinematics import Expr
 
@@ -46,6 +45,7 @@ class Prescribed:
 class Support:
     """A displacement prescribed on facets, as boundary conditions that follow the load."""
 
+    space: fem.FunctionSpace
     parts: tuple[Prescribed, ...]
 
     @property
@@ -66,7 +66,7 @@ def load_factor(body: Any, value: float = 0.0) -> fem.Constant:
         body: Mesh, or an object with a ``mesh``.
         value: Value before the first load step.
     """
-    return fem.Constant(_mesh(body), default_scalar_type(value))
+    return fem.Constant(_checks.mesh_of(body), default_scalar_type(value))
 
 
 def displacement(body: Any, degree: int = 1) -> fem.Function:
@@ -79,7 +79,7 @@ def displacement(body: Any, degree: int = 1) -> fem.Function:
     Raises:
         ValueError: degree below 1.
     """
-    mesh = _mesh(body)
+    mesh = _checks.mesh_of(body)
     V = fem.functionspace(mesh, ("Lagrange", _degree(degree, 1), (mesh.geometry.dim,)))
     return fem.Function(V, name="displacement")
 
@@ -96,7 +96,7 @@ def displacement_pressure(body: Any, degree: int = 2) -> fem.Function:
     Raises:
         ValueError: degree below 2.
     """
-    mesh = _mesh(body)
+    mesh = _checks.mesh_of(body)
     k, cell = _degree(degree, 2), mesh.basix_cell()
     U = basix.ufl.element("Lagrange", cell, k, shape=(mesh.geometry.dim,))
     Q = basix.ufl.element("Lagrange", cell, k - 1)
@@ -147,7 +147,9 @@ def rotate(
     Raises:
         ValueError: zero axis, wrong number of components, or no facets on any rank.
     """
-    mesh, dim = u.function_space.mesh, _space_dimension(u)
+    dim, mesh = _space_dimension(u), u.function_space.mesh
+    if _checks.number(angle) is None:
+        _check_value(angle)
     k = np.asarray(axis, float)
     if k.shape != (3,) or not np.linalg.norm(k) > 0:
         raise ValueError(f"rotate needs an axis of three components, not all zero; got {axis}.")
@@ -182,19 +184,29 @@ def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) ->
     Raises:
         ValueError: wrong number of values, nothing prescribed, or no facets on any rank.
     """
-    V = u.function_space
-    dim = _space_dimension(u)
-    if len(values) != dim:
-        raise ValueError(f"a support needs {dim} values, one per component, got {len(values)}.")
+    dim, V = _space_dimension(u), u.function_space
+    if not isinstance(values, list | tuple | np.ndarray) or len(values) != dim:
+        raise ValueError(f"a support needs {dim} values, one per component, got {values}.")
+    for value in values:
+        if value is not None and _checks.number(value) is None:
+            _check_value(value)
     if all(value is None for value in values):
         raise ValueError("a support needs at least one value that is not None.")
-    _check_facets(V.mesh, facets)
+    facets = _checks.facets(V.mesh, facets)
     view = V.sub(0) if is_mixed(V) else V
     if all(value is not None for value in values):
-        return Support((_part(view, facets, list(values)),))
+        return Support(V, (_part(view, facets, list(values)),))
     return Support(
-        tuple(_part(view.sub(i), facets, [v]) for i, v in enumerate(values) if v is not None)
+        V, tuple(_part(view.sub(i), facets, [v]) for i, v in enumerate(values) if v is not None)
     )
+
+
+def _check_value(value: Expr) -> None:
+    if not isinstance(value, ufl.core.expr.Expr) or value.ufl_shape != ():
+        raise ValueError(
+            "a prescribed component is a number, a scalar UFL expression of the reference point "
+            f"and the load factor, or None, got {type(value).__name__}."
+        )
 
 
 def is_mixed(V: fem.FunctionSpace) -> bool:
@@ -211,7 +223,7 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     g = fem.Function(W, name="prescribed")
     # In a view the numbers are those of components, in W.dofmap.list of nodes.
     expression, own = None, dofs if whole else dofs[1] // W.dofmap.bs
-    numbers = [_number(value) for value in values]
+    numbers = [_checks.number(value) for value in values]
     if None not in numbers:
         constant = np.asarray(numbers, default_scalar_type)
         g.x.array[:] = np.tile(constant, g.x.array.size // len(values))
@@ -226,15 +238,10 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     return part
 
 
-def _number(value: Expr) -> float | None:
-    """A plain or UFL number (0 * t is one) as float; None for any other expression."""
-    return float(value) if isinstance(value, Real | ufl.classes.ConstantValue) else None
-
-
 def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
     """Middle of the bounding box of facets on all ranks; collective."""
     mesh = u.function_space.mesh
-    _check_facets(mesh, facets)
+    facets = _checks.facets(mesh, facets)
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
     nodes = entities_to_geometry(mesh, dim - 1, facets).ravel() if len(facets) else facets
@@ -242,13 +249,8 @@ def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
     return (low + high) / 2
 
 
-def _check_facets(mesh: Any, facets: Facets) -> None:
-    if mesh.comm.allreduce(len(facets)) == 0:
-        raise ValueError("a support needs facets, got none on any rank: is the boundary empty?")
-
-
 def _space_dimension(u: fem.Function) -> int:
-    V = u.function_space
+    V = _checks.function(u, "a support").function_space
     dim = V.mesh.geometry.dim
     components = V.sub(0).num_sub_spaces if is_mixed(V) else V.num_sub_spaces
     if components != dim:
@@ -263,7 +265,3 @@ def _degree(degree: int, least: int) -> int:
     if not isinstance(degree, int) or degree < least:
         raise ValueError(f"the degree must be a whole number of at least {least}, got {degree}.")
     return degree
-
-
-def _mesh(body: Any) -> Any:
-    return getattr(body, "mesh", body)

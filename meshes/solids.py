@@ -83,9 +83,7 @@ def cylinder(
     return distribute(comm, lambda: _mesh("cylinder", shape, names, h, order))
 
 
-def sphere_octant(
-    comm: MPI.Comm, inner: float, outer: float, h: float, order: int = 1
-) -> Body:
+def sphere_octant(comm: MPI.Comm, inner: float, outer: float, h: float, order: int = 1) -> Body:
     """Eighth of a thick spherical shell about the origin, in x, y, z >= 0. Collective.
 
     Boundaries: inner, outer (the spheres), x0, y0, z0 (the symmetry planes x = 0, y = 0, z = 0).
@@ -142,8 +140,10 @@ def ellipsoid(
 
     Args:
         comm: Communicator of the mesh.
-        h: Edge length of the tetrahedra, in the unit of the axes.
-        order: Polynomial order of the geometry, 1 or 2 (nodes amid the edges on the true surface).
+        h: Edge length of the tetrahedra, in the unit of the axes; smaller where ten of them would
+            not reach around a circle of curvature.
+        order: Polynomial order of the geometry, 1 or 2 (nodes amid the edges on the true surface,
+            but for coarse cells that it would turn inside out).
         endo: Short and long half axis of the inner surface.
         epi: Short and long half axis of the outer surface.
         base: Height of the plane that cuts both off.
@@ -189,6 +189,8 @@ def ellipsoid(
         wall, _ = occ.cut(*solids)
         above = occ.addBox(-2 * epi[0], -2 * epi[0], base, 4 * epi[0], 4 * epi[0], 2 * epi[1])
         occ.cut(wall, [(3, above)])
+        # At the sharply curved apex cells of edge h would not fit between the surfaces.
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 10)
 
     return distribute(comm, lambda: _mesh("ellipsoid", shape, names, h, order))
 
@@ -219,7 +221,8 @@ def _mesh(
         size = max(x1 - x0, y1 - y0, z1 - z0)
         for _, surface in gmsh.model.getEntities(2):
             nodes = gmsh.model.mesh.getNodes(2, surface, includeBoundary=True)[1].reshape(-1, 3)
-            off = {name: np.abs(level(nodes)).max() for name, level in names.items()}
+            # The median: nodes of straightened cells may be off their surface.
+            off = {name: np.median(np.abs(level(nodes))) for name, level in names.items()}
             nearest = min(off, key=lambda name: off[name])
             if off[nearest] > 1e-6 * size:
                 raise RuntimeError(

@@ -186,6 +186,15 @@ def test_moduli():
         (lambda F: energies.neo_hookean(F, -1.0, 1.0), r"shear modulus mu must be .* got -1.0"),
         (lambda F: energies.neo_hookean(F, 1.0, np.nan), "needs a finite lmbda, got nan"),
         (lambda F: energies.yeoh(F, 1.0, np.inf, 1.0), "yeoh needs a finite c2, got inf"),
+        (lambda F: energies.neo_hookean(F, np.float32("nan"), 1.0), "finite mu, got nan"),
+        (
+            lambda F: energies.guccione(F, 1.0, 1.0, 1.0, 1.0, (1, 0)),
+            r"a fiber needs the shape \(3,\), got \(2,\)",
+        ),
+        (
+            lambda F: energies.guccione(F, 1.0, 1.0, 1.0, 1.0, (2, 0, 0)),
+            "a fiber needs a unit vector, got one of length 2",
+        ),
         (lambda F: energies.volumetric(F, 1.0, "cubic"), r"quadratic, simo, log, got 'cubic'"),
         (lambda F: energies.volumetric(F, 0.0), r"bulk modulus kappa must be positive, got 0.0"),
         (lambda F: energies.with_pressure(0, F, F), r"must be a scalar, got shape \(3, 3\)"),

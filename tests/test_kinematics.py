@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Kinematics: the identities of document 003, (1)-(5), (13), (22), and the plane models."""
 
+from mpi4py import MPI
+
+import basix.ufl
 import numpy as np
 import pytest
 import ufl
@@ -8,6 +11,7 @@ from cases import random_state, unit_mesh
 from dolfinx import fem
 
 import forms
+from meshes._dolfinx import create_mesh
 
 
 def evaluate(expression):
@@ -145,6 +149,25 @@ def test_wrong_shapes_are_refused(call, message):
     u, w = forms.displacement(mesh), forms.displacement_pressure(mesh)
     with pytest.raises(ValueError, match=message):
         call(u, w)
+
+
+def test_a_membrane_is_refused():
+    """Cells that do not fill their space have no 3x3 deformation gradient of this kind."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.5]])
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
+    surface = create_mesh(MPI.COMM_SELF, element, points, np.array([[0, 1, 2]], dtype=np.int64))
+    u = forms.displacement(surface)
+    with pytest.raises(ValueError, match="got cells of dimension 2 in 3 dimensions"):
+        forms.deformation_gradient(u)
+
+
+def test_the_hoop_stretch_on_the_axis_is_its_limit():
+    """F33 -> 1 + u_r,r at r = 0: fields at nodes on the axis are finite."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    u.interpolate(lambda x: (0.2 * x[0], 0 * x[1]))
+    F = forms.axisymmetric(u)
+    assert forms.at(forms.field(F, mesh), (0.0, 0.5)).reshape(3, 3)[2, 2] == pytest.approx(1.2)
 
 
 def test_models_for_plane_bodies_refuse_solids():

@@ -147,6 +147,14 @@ def test_bad_loads_are_refused():
         forms.body_force(u, (0, 0, 1))
     with pytest.raises(ValueError, match=r"traction needs the shape \(2,\).* got \(\)"):
         forms.dead_traction(u, 1.0, ufl.ds)
+    with pytest.raises(ValueError, match=r"as body.ds\(.right.\), got ndarray"):
+        forms.dead_traction(u, np.array([1.0, 0.0]), at_plane(mesh, 0, 0.0))
+    v = ufl.TestFunction(u.function_space)
+    with pytest.raises(ValueError, match=r"the order is \(u, p, v, ds\)"):
+        forms.follower_pressure(u, v, 1.0, ufl.ds)
+    w = forms.displacement_pressure(mesh)
+    with pytest.raises(ValueError, match=r"shape \(2,\), got \(3,\); of a mixed unknown"):
+        forms.pressure_potential(w, 1.0, ufl.ds)
     for varying in (x[0], u[0]):
         with pytest.raises(ValueError, match="varies in space has no potential"):
             forms.pressure_potential(u, varying, ufl.ds)

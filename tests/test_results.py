@@ -95,6 +95,21 @@ def test_fields_that_live_at_quadrature_points(tmp_path):
     forms.VTX(tmp_path / "sheet.bp", u, P=P).write(0.0)
 
 
+def test_wrong_arguments_are_refused(sheared):
+    mesh, _, psi, path = sheared
+    w = forms.displacement_pressure(mesh)
+    for call, message in (
+        (lambda: forms.at(w, (0, 0, 0)), r"pass displacement_of\(w\)"),
+        (lambda: forms.at(psi, (0, 0, 0)), "needs the unknown itself.* got Sum"),
+        (lambda: forms.at(path.u, (0, 0)), r"has 3 coordinates, got \(0, 0\)"),
+        (lambda: forms.resultant(path, "top"), "local facet indices.* got str top"),
+        (lambda: forms.integral(psi), "got Sum: integrate a density with dx"),
+        (lambda: forms.picture(mesh, "a.png"), "needs the unknown itself.* got Mesh"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
 def test_volumes():
     """U = (a x, b y, c z): volume and smallest J are (1 + a)(1 + b)(1 + c)."""
     mesh = unit_mesh(3, 2)
@@ -118,6 +133,8 @@ def test_summary_is_json(sheared, tmp_path):
     assert read["versions"]["dolfinx"]
     with pytest.raises(TypeError, match="got Mesh"):
         forms.summary(path, wrong=path.u.function_space.mesh)
+    odd = forms.summary(path, inf=np.inf, nan={"a": [np.nan, 1.0]})
+    assert odd["inf"] is None and odd["nan"] == {"a": [None, 1.0]}
 
 
 @pytest.mark.parametrize("fields", [False, True])

@@ -407,6 +407,21 @@ def test_options_reach_petsc(options, looser):
     assert (distance > 1e-6) == looser
 
 
+def test_options_end_with_their_solve():
+    """A solve's options do not reach the next one with its prefix; misspelled ones are named."""
+    with pytest.warns(UserWarning, match="did not use the options snes_typ: are they misspelled"):
+        bending(options={"snes_typ": "newtontr"})
+    with pytest.raises(forms.NotConverged):
+        bending(options={"snes_max_it": 1}, min_step=0.09)
+    path, _ = bending()
+    assert max(s.convergence.iterations for s in path.steps) > 1
+
+
+def test_an_absolute_tolerance_is_named():
+    path, _ = bending(options={"snes_atol": 1e3}, ctol=1.0)
+    assert path.steps[0].convergence.reason == "snes_atol = 1000 reached"
+
+
 def test_negative_and_decreasing_loads():
     """The load factor may fall, and start anywhere."""
     mesh = unit_mesh(2, 1)
@@ -473,3 +488,40 @@ def test_steps_that_are_not_positive_are_refused(name, value):
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
     with pytest.raises(ValueError, match=f"{name} = {value}"):
         forms.follow(psi, u, [], t, **{name: value}, progress=False)
+
+
+def test_a_load_factor_that_nothing_depends_on_is_refused():
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    fixed = forms.clamp(u, at_plane(mesh, 0, 0.0))
+    with pytest.raises(ValueError, match="nothing depends on the load factor t"):
+        forms.follow(psi, u, [fixed], t, progress=False)
+    with pytest.raises(ValueError, match=r"load factor of forms.load_factor, got float"):
+        forms.follow(psi, u, [fixed], 0.0, progress=False)
+
+
+def test_supports_of_another_unknown_are_refused():
+    """They would be ignored, or read beyond the unknown's end."""
+    mesh = unit_mesh(2)
+    u, other = forms.displacement(mesh), forms.displacement(mesh, 2)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    left = at_plane(mesh, 0, 0.0)
+    for wrong in (forms.clamp(other, left), forms.clamp(forms.displacement(mesh), left)):
+        with pytest.raises(ValueError, match="made for another unknown than displacement"):
+            forms.solve(psi, u, [wrong])
+    with pytest.raises(ValueError, match="what forms.clamp, .* got DirichletBC"):
+        forms.solve(psi, u, forms.clamp(u, left).conditions)
+    assert forms.solve(psi, u, forms.clamp(u, left)).completed  # one alone needs no list
+
+
+def test_parts_of_a_mixed_unknown_are_refused():
+    """w.split() gives functions that nothing is differentiated by."""
+    mesh = unit_mesh(2)
+    w = forms.displacement_pressure(mesh)
+    F, (_, p) = forms.deformation_gradient(w.split()[0]), ufl.split(w)
+    psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 1.0), F, p, 1.0)
+    with pytest.raises(ValueError, match="a part of w that is not differentiated"):
+        forms.solve(psi * ufl.dx, w, [forms.clamp(w, at_plane(mesh, 0, 0.0))])
+    with pytest.raises(ValueError, match="needs the unknown itself.* got Sum"):
+        forms.solve(psi * ufl.dx, psi, [])

@@ -229,6 +229,8 @@ def test_forms_of_the_wrong_kind_are_refused():
         forms.residual(psi * ufl.dx, other)
     with pytest.raises(ValueError, match="needs the ufl.variable F"):
         stress.first_piola(psi, ufl.Identity(3))
+    with pytest.raises(ValueError, match="psi was not written with this F"):
+        stress.first_piola(psi, forms.deformation_gradient(u))
 
 
 def test_wrong_derivatives_would_be_caught(rng):

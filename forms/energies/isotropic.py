@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite
+from numbers import Real
 
 import ufl
 
@@ -172,7 +173,7 @@ def _checked(F: Expr, name: str, **parameters: Expr) -> Expr:
             "forms.deformation_gradient(u), which is 3x3 on plane meshes too."
         )
     for parameter, value in parameters.items():
-        if isinstance(value, int | float) and not isfinite(value):
+        if isinstance(value, Real) and not isfinite(value):
             raise ValueError(f"{name} needs a finite {parameter}, got {value}.")
     check_positive("shear modulus mu", parameters.get("mu", 1.0))
     return F

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 from ..kinematics import Expr
 
 
@@ -39,7 +41,7 @@ def bulk_modulus(mu: Expr, lmbda: Expr) -> Expr:
 
 def check_poisson_ratio(nu: Expr) -> None:
     """Refuse a numeric Poisson ratio outside the stable range; let UFL expressions pass."""
-    if isinstance(nu, int | float) and not -1 < nu < 0.5:
+    if isinstance(nu, Real) and not -1 < float(nu) < 0.5:
         raise ValueError(
             f"a compressible material needs a Poisson ratio between -1 and 1/2, got nu = {nu}; "
             "for nu = 1/2 use energies.with_pressure without kappa."
@@ -48,5 +50,5 @@ def check_poisson_ratio(nu: Expr) -> None:
 
 def check_positive(name: str, value: Expr) -> None:
     """Refuse a numeric modulus that is not a positive number; let UFL expressions pass."""
-    if isinstance(value, int | float) and not value > 0:
+    if isinstance(value, Real) and not float(value) > 0:
         raise ValueError(f"the {name} must be positive, got {value}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ufl
 
+from .._checks import direction
 from ..kinematics import Expr, fiber_invariants, green_strain
 from .isotropic import _checked, neo_hookean_quadratic
 
@@ -134,6 +135,7 @@ def guccione(F: Expr, C: Expr, bf: Expr, bt: Expr, bfs: Expr, fiber: Expr) -> Ex
     Source: Land et al., Proc. R. Soc. A 471 (2015) 20150641, section 2.
     """
     E = green_strain(_checked(F, "guccione", C=C, bf=bf, bt=bt, bfs=bfs))
+    fiber = direction(fiber, "a fiber")
     EA = E * fiber
     E11, EA2 = ufl.dot(fiber, EA), ufl.dot(EA, EA)
     across = ufl.inner(E, E) - 2 * EA2 + E11**2

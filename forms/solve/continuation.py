@@ -159,10 +159,19 @@ def follow(
     Raises:
         NotConverged: the step became smaller than min_step; u and t hold the last converged state,
             and the exception's ``path`` the steps so far.
-        ValueError: forms or supports of the wrong kind, or steps that are not positive.
+        ValueError: forms or supports of the wrong kind, steps that are not positive, or nothing
+            that depends on t.
     """
+    if not isinstance(t, fem.Constant):
+        raise ValueError(
+            f"follow needs the load factor of forms.load_factor, got {type(t).__name__}."
+        )
     walk = _Walk.start(float(t.value), to, step, min_step, max_step)
     problem = system(potential, u, supports, virtual_work)
+    if not problem.depends_on(t):
+        raise ValueError(
+            "nothing depends on the load factor t: write a load or a support with it, or use solve."
+        )
     newton = Newton(problem, options, prefix, rtol, ctol)
     path, start = Path(u, problem), time.perf_counter()
     bar = tqdm(

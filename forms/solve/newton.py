@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -121,6 +123,7 @@ class Newton:
         self.atol = float(self._user.get("snes_atol", 0.0))
         self._preset = linear.preset(system)
         self._presets: set[str] = set()
+        self._solved = False
         self._imbalance: float | None = None
         self._reactions, self._rounding, self._correction = 0.0, 0.0, np.inf
         self._last = (np.inf, 0.0)
@@ -180,6 +183,7 @@ class Newton:
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
             return Convergence(False, REASONS[-1], -1, 0, 0, np.inf, 0.0, np.inf)
+        self._solved = True
         outcome = self._run(system.minimization)
         if outcome.code == -3 and "gamg" in self._preset.values() and "pc_type" not in self._user:
             self._preset = linear.direct(system.symmetric)
@@ -227,11 +231,19 @@ class Newton:
         self._imbalance = self.b.norm()
 
     def destroy(self) -> None:
-        """Free the PETSc objects (their callbacks refer to this one) and take the presets back.
+        """Free the PETSc objects (their callbacks refer to this one) and take the options back.
 
-        The user's options stay in PETSc's database, which names at the end those it never used.
+        They would else hold for the next solve with the same prefix. Warns of options that PETSc
+        never asked for.
         """
-        for key in self._presets - set(self._user):
+        unused = [key for key in self._user if not _was_used(self.prefix + key)]
+        if unused and self._solved:
+            warnings.warn(
+                f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
+                "for another solver?",
+                stacklevel=2,
+            )
+        for key in self._presets | set(self._user):
             PETSc.Options().delValue(self.prefix + key)
         for item in (self.snes, self._by_residual, self.A, self.b, self.x, self._x_before):
             item.destroy()
@@ -246,9 +258,12 @@ class Newton:
         self._put(self.x)
         code = snes.getConvergedReason()
         converged = code == CONVERGED_CODE
+        reached = "both tolerances reached"
+        if self._last[0] > max(self.rtol * self._last[1], self._rounding):
+            reached = f"snes_atol = {self.atol:g} reached"
         return Convergence(
             converged=converged,
-            reason="both tolerances reached" if converged else REASONS.get(code, f"reason {code}"),
+            reason=reached if converged else REASONS.get(code, f"reason {code}"),
             code=code,
             iterations=snes.getIterationNumber() + (before.iterations if before else 0),
             linear_iterations=snes.getLinearSolveIterations()
@@ -309,6 +324,13 @@ class Newton:
 
     def _get(self, x: PETSc.Vec) -> None:
         self.system.u.x.petsc_vec.copy(x)
+
+
+def _was_used(name: str) -> bool:
+    """Whether PETSc has asked for an option; petsc4py has no function for it."""
+    used = ctypes.c_int(0)
+    ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
+    return bool(used.value)
 
 
 def _command_line(prefix: str) -> dict[str, str]:
