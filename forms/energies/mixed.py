@@ -18,6 +18,10 @@ def with_pressure(psi: Expr, F: Expr, p: Expr, kappa: Expr | None = None) -> Exp
     enforced in the mean of the pressure's space. The pressure p is positive in tension: the Cauchy
     stress gains p I.
 
+    Best write psi with ``isochoric(F)``: J = 1 holds in the mean only, and an energy that also
+    changes with J can lose its stability under pressure (Guccione's ventricle under 10 kPa stops
+    at 1.3 kPa with F, and converges with isochoric(F)).
+
     Args:
         psi: Energy density [J/m^3] of F, without a volume term.
         F: Deformation gradient, shape (3, 3).

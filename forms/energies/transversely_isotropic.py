@@ -130,7 +130,7 @@ def guccione(F: Expr, C: Expr, bf: Expr, bt: Expr, bfs: Expr, fiber: Expr) -> Ex
 
     Returns:
         Energy per reference volume [J/m^3], finite for every F. It has no volume term: add
-        :func:`with_pressure` or :func:`volumetric`.
+        :func:`with_pressure` or :func:`volumetric`, and best pass ``isochoric(F)`` for F.
 
     Source: Land et al., Proc. R. Soc. A 471 (2015) 20150641, section 2.
     """
