@@ -191,6 +191,8 @@ def ellipsoid(
         occ.cut(wall, [(3, above)])
         # At the sharply curved apex cells of edge h would not fit between the surfaces.
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 10)
+        # HXT, whose cells stay valid between the curved sides where those of the default tangle.
+        gmsh.option.setNumber("Mesh.Algorithm3D", 10)
 
     return distribute(comm, lambda: _mesh("ellipsoid", shape, names, h, order))
 
