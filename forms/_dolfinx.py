@@ -36,6 +36,12 @@ def topological_dimension(domain: Any) -> int:
     return int(dim() if callable(dim) else dim)
 
 
+def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
+    """Polynomial degree of a mesh's geometry (0.11: a list of coordinate elements)."""
+    geometry = mesh.geometry
+    return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
+
+
 def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
     """Reference points of a space's degrees of freedom (a method up to 0.9)."""
     points = V.element.interpolation_points

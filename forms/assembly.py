@@ -170,7 +170,7 @@ def system(
         supports: Prescribed displacements.
         virtual_work: Linear form added to the residual, for loads without a potential.
 
-    Integrals without a quadrature degree get 2 k for displacements of degree k (3 k - 2 on
+    Integrals without a quadrature degree get 2 k for displacements of degree k (3 k - 1 on
     facets where that is more), the same in energy, residual and tangent, so that they are exact
     derivatives of each other.
 
@@ -226,7 +226,13 @@ def _listed(supports: Iterable[Support] | Support, u: fem.Function) -> tuple[Sup
 
 def _check_parts(potential: Any, u: fem.Function) -> None:
     """Refuse w.split() and w.sub(0), by which nothing would be differentiated."""
-    for c in potential.coefficients() if isinstance(potential, ufl.Form) else ():
+    if not isinstance(potential, ufl.Form):
+        return
+    if len(potential.ufl_domains()) > 1:
+        raise ValueError(
+            "the potential is integrated over two meshes: take measures and unknown from one body."
+        )
+    for c in potential.coefficients():
         if c is not u and isinstance(c, fem.Function) and np.shares_memory(c.x.array, u.x.array):
             raise ValueError(
                 f"the potential contains {c.name}, a part of {u.name} that is not differentiated: "
@@ -249,7 +255,7 @@ def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
     for integral in form.integrals():
         metadata = dict(integral.metadata())
         cells = integral.integral_type() == "cell"
-        default = 2 * degree if cells else max(2 * degree, 3 * degree - 2)
+        default = 2 * degree if cells else max(2 * degree, 3 * degree - 1)
         metadata.setdefault("quadrature_degree", default)
         data = integral.subdomain_data() or subdomains.get(integral.integral_type())
         integrals.append(integral.reconstruct(metadata=metadata, subdomain_data=data))

@@ -81,10 +81,15 @@ def plane_stress(u: fem.Function, psi: Callable[[Expr], Expr], degree: int | Non
         residual and the tangent contain the change of F33 (static condensation).
 
     Raises:
-        ValueError: u has not two components.
+        ValueError: u has not two components, or psi is no function.
     """
     if _dimension(u, "plane_stress") != 2:
         raise ValueError(f"plane_stress needs a plane displacement, got shape {u.ufl_shape}.")
+    if isinstance(psi, ufl.core.expr.Expr) or not callable(psi):  # UFL's can be called, too
+        raise ValueError(
+            "plane_stress needs the energy as a function of F, as lambda F: neo_hookean(F, 1, 2), "
+            f"got {type(psi).__name__}."
+        )
     if degree is None:
         degree = 2 * u.function_space.element.basix_element.degree
     return ThicknessStretch(u, psi, degree).F

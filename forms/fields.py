@@ -14,6 +14,7 @@ from ufl.algorithms import extract_coefficients
 
 from . import _checks, _dolfinx
 from .kinematics import Expr
+from .variation import update_dependents
 
 
 def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
@@ -40,6 +41,15 @@ def discontinuous(mesh: Any, degree: int, shape: tuple[int, ...] = ()) -> fem.Fu
     return fem.functionspace(mesh, (*element, shape) if shape else element)
 
 
+def quadrature_degrees(expression: Expr) -> list[int]:
+    """Degrees of the quadrature rules that coefficients of an expression live on."""
+    return [
+        c.ufl_element().embedded_superdegree
+        for c in extract_coefficients(ufl.as_ufl(expression))
+        if c.ufl_element().has_custom_quadrature
+    ]
+
+
 class Evaluation:
     """An expression compiled for being written into a function again and again.
 
@@ -49,13 +59,9 @@ class Evaluation:
     """
 
     def __init__(self, expression: Expr, f: fem.Function) -> None:
-        self._f = f
+        self._f, self._source = f, ufl.as_ufl(expression)
         V = f.function_space
-        at_points = [
-            c.ufl_element().embedded_superdegree
-            for c in extract_coefficients(ufl.as_ufl(expression))
-            if c.ufl_element().has_custom_quadrature
-        ]
+        at_points = quadrature_degrees(expression)
         self._projected = bool(at_points)
         if not self._projected:
             self._expression = fem.Expression(expression, _dolfinx.interpolation_points(V))
@@ -67,6 +73,7 @@ class Evaluation:
 
     def update(self) -> None:
         """Evaluate the expression at present values. Collective."""
+        update_dependents(self._source)
         if self._projected:
             self._project()
         else:

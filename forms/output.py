@@ -56,9 +56,16 @@ class VTX:
             for name, shape in shapes.items()
         ]
         self._fields = [Evaluation(e, f) for e, f in zip(fields.values(), written, strict=True)]
-        on_rank_zero(mesh.comm, lambda: self._file.parent.mkdir(parents=True, exist_ok=True))
+        on_rank_zero(mesh.comm, self._check_writable)
         outputs = [self._displacement, *written]
         self._writer = io.VTXWriter(mesh.comm, str(self._file), outputs, engine="BP4")
+
+    def _check_writable(self) -> None:
+        """Make the folder and a file in it: adios2 ends the process where it cannot."""
+        self._file.mkdir(parents=True, exist_ok=True)
+        probe = self._file / ".writable"
+        probe.touch()
+        probe.unlink()
 
     def __call__(self, path: Path) -> None:
         """Write the state of a path at its load factor."""

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from .assembly import System
+from .fields import quadrature_degrees
 from .kinematics import Expr
 from .supports import is_mixed
+from .variation import update_dependents
 
 Array = NDArray[np.float64]
 
@@ -116,6 +118,7 @@ def integral(form: ufl.Form) -> float:
         raise ValueError(
             f"integral needs a functional, got {type(form).__name__}: integrate a density with dx."
         )
+    update_dependents(form)
     compiled = fem.form(form)
     return float(compiled.mesh.comm.allreduce(fem.assemble_scalar(compiled)))
 
@@ -131,11 +134,14 @@ def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
     Args:
         F: Deformation gradient.
         mesh: Mesh, or an object with a ``mesh``.
-        degree: Degree of the quadrature rule whose points are looked at.
+        degree: Degree of the quadrature rule whose points are looked at; in plane stress that of
+            the thickness stretch.
     """
     mesh = _checks.mesh_of(mesh)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
-    points, _ = basix.make_quadrature(cell, degree)
+    at_points = quadrature_degrees(F)
+    points, _ = basix.make_quadrature(cell, max(at_points, default=degree))
+    update_dependents(F)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     values = fem.Expression(ufl.det(F), points).eval(mesh, owned)
     return float(mesh.comm.allreduce(float(np.min(values, initial=np.inf)), MPI.MIN))

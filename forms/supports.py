@@ -74,13 +74,21 @@ def displacement(body: Any, degree: int = 1) -> fem.Function:
 
     Args:
         body: Mesh, or an object with a ``mesh``.
-        degree: Polynomial degree, 1 or more.
+        degree: Polynomial degree, 1 or more, not below the order of the mesh: linear displacements
+            do not contain the rotations of curved cells.
 
     Raises:
-        ValueError: degree below 1.
+        ValueError: degree below 1 or below the order of the mesh.
     """
     mesh = _checks.mesh_of(body)
-    V = fem.functionspace(mesh, ("Lagrange", _degree(degree, 1), (mesh.geometry.dim,)))
+    k = _degree(degree, 1)
+    if k < _dolfinx.geometry_degree(mesh):
+        raise ValueError(
+            f"displacements of degree {k} cannot rotate a mesh of order "
+            f"{_dolfinx.geometry_degree(mesh)} rigidly: take degree "
+            f"{_dolfinx.geometry_degree(mesh)} or more, or a mesh of order {k}."
+        )
+    V = fem.functionspace(mesh, ("Lagrange", k, (mesh.geometry.dim,)))
     return fem.Function(V, name="displacement")
 
 
@@ -179,7 +187,8 @@ def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) ->
             and the load factor, or None for a free component.
 
     Returns:
-        Support for :func:`forms.solve` and :func:`forms.follow`.
+        Support for :func:`forms.solve` and :func:`forms.follow`. At nodes that two supports share
+        the later one in their list wins.
 
     Raises:
         ValueError: wrong number of values, nothing prescribed, or no facets on any rank.

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, extract_coefficients
 
 from .kinematics import Expr
 
@@ -57,6 +57,13 @@ def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
 def dependents(form: ufl.Form) -> list[Dependent]:
     """Coefficients of a form that depend on the unknown, in the form's order."""
     return [c for c in form.coefficients() if isinstance(c, Dependent)]
+
+
+def update_dependents(integrand: ufl.Form | Expr) -> None:
+    """Bring the coefficients of a form or an expression that depend on the unknown up to date."""
+    for c in extract_coefficients(integrand):
+        if isinstance(c, Dependent):
+            c.update()
 
 
 def residual(potential: ufl.Form, u: fem.Function) -> ufl.Form:

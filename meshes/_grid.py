@@ -68,9 +68,11 @@ class Grid:
         """Refuse a mesh on which an energy would be wrong without a word, and drop unused points.
 
         Raises:
-            ValueError: A cell twice, a facet with two names, a facet of three cells, a cell
-                that is degenerate, turned inside out or folded over its neighbor.
+            ValueError: A cell twice, a facet with two names, a named facet that no cell has, a
+                facet of three cells, a cell that is degenerate, turned inside out or folded over
+                its neighbor.
         """
+        self._check_facets()
         self._drop_unused_points()
         self._check_repetition()
         self._check_shape()
@@ -83,10 +85,8 @@ class Grid:
             return
         new = np.full(len(self.points), -1, dtype=np.int64)
         new[used] = np.arange(len(used))
-        facets = new[self.facets]
-        touching = (facets >= 0).all(axis=1)
         self.points, self.cells = self.points[used], numbers.reshape(self.cells.shape)
-        self.facets, self.boundaries = facets[touching], self.boundaries[touching]
+        self.facets = new[self.facets]
 
     def _check_repetition(self) -> None:
         vertices = np.sort(self.cells[:, : len(basix.topology(self._cell_type)[0])], axis=1)
@@ -112,6 +112,22 @@ class Grid:
         keep = np.ones(len(rows), dtype=bool)
         keep[order[1:][same]] = False
         self.facets, self.boundaries = self.facets[keep], self.boundaries[keep]
+
+    def _check_facets(self) -> None:
+        """Refuse named facets that are no facet of any cell: they would vanish without a word."""
+        corners = basix.topology(self._cell_type)[self.tdim - 1]
+        of_cells = np.concatenate([np.sort(self.cells[:, c], axis=1) for c in corners])
+        named = np.sort(self.facets[:, : len(corners[0])], axis=1)
+        _, numbers = np.unique(np.concatenate([of_cells, named]), axis=0, return_inverse=True)
+        numbers = numbers.ravel()
+        loose = ~np.isin(numbers[len(of_cells) :], numbers[: len(of_cells)])
+        for name, tag in self.boundary_names.items():
+            mine = self.boundaries == tag
+            if (loose & mine).any():
+                raise ValueError(
+                    f"{self.source}: {(loose & mine).sum()} of {mine.sum()} facets of '{name}' are "
+                    "no facets of its cells: put these into another group, or add their cells."
+                )
 
     def relative_jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Smallest and largest det J / (product of J's column lengths) in each cell.

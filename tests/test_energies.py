@@ -195,6 +195,7 @@ def test_moduli():
             lambda F: energies.guccione(F, 1.0, 1.0, 1.0, 1.0, (2, 0, 0)),
             "a fiber needs a unit vector, got one of length 2",
         ),
+        (lambda F: energies.neo_hookean(F, 1.0, -10.0), "positive bulk modulus .* lmbda = -10.0"),
         (lambda F: energies.volumetric(F, 1.0, "cubic"), r"quadratic, simo, log, got 'cubic'"),
         (lambda F: energies.volumetric(F, 0.0), r"bulk modulus kappa must be positive, got 0.0"),
         (lambda F: energies.with_pressure(0, F, F), r"must be a scalar, got shape \(3, 3\)"),

@@ -177,3 +177,7 @@ def test_models_for_plane_bodies_refuse_solids():
             model(u)
     with pytest.raises(ValueError, match=r"got shape \(3,\)"):
         forms.plane_stress(u, lambda F: forms.energies.neo_hookean(F, 1, 1))
+    plane = forms.displacement(unit_mesh(2))
+    F = forms.deformation_gradient(plane)
+    with pytest.raises(ValueError, match="as a function of F, .* got Sum"):
+        forms.plane_stress(plane, forms.energies.neo_hookean(F, 1, 1))

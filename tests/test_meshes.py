@@ -787,3 +787,18 @@ def test_tangled_cells_of_a_coarse_curved_mesh_are_straightened(h):
     volume = fem.assemble_scalar(fem.form(fem.Constant(body.mesh, 1.0) * measure))
     assert volume == pytest.approx(exact, rel=2e-3)
     assert set(body.boundaries) == {"endo", "epi", "base"}
+
+
+def test_named_facets_that_no_cell_has_are_refused(tmp_path: Path) -> None:
+    """An edge to a point that no cell uses, and one through the body, are no boundary."""
+    file = tmp_path / "loose.msh"
+    file.write_text(
+        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+        '$PhysicalNames\n2\n2 1 "body"\n1 2 "right"\n$EndPhysicalNames\n'
+        "$Nodes\n5\n1 0 0 0\n2 1 0 0\n3 1 1 0\n4 0 1 0\n5 2 2 0\n$EndNodes\n"
+        "$Elements\n5\n1 2 2 1 1 1 2 3\n2 2 2 1 1 1 3 4\n"
+        "3 1 2 2 1 2 3\n4 1 2 2 1 3 5\n5 1 2 2 1 2 4\n$EndElements\n"
+    )
+    message = "loose.msh: 2 of 3 facets of 'right' are no facets of its cells"
+    with pytest.raises(ValueError, match=message):
+        meshes.read(COMM, file)

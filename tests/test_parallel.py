@@ -134,6 +134,8 @@ what = sys.argv[1]
 try:
     if what == "folder":
         forms.summary(forms.solve(psi * ufl.dx, u, supports), "/proc/none/run.json")
+    elif what == "vtx":
+        forms.VTX("/proc/none/run.bp", u)
     elif what == "point":
         forms.at(u, (2.0, 0.0))
     elif what == "empty":
@@ -153,6 +155,7 @@ else:
     ("what", "message"),
     [
         ("folder", "FileNotFoundError"),
+        ("vtx", "FileNotFoundError"),
         ("point", "ValueError the point (2.0, 0.0) lies 1 outside the mesh"),
         ("empty", "ValueError a support needs facets, got none on any rank"),
         ("name", 'ValueError no boundary named "lfet"'),

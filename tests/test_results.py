@@ -104,6 +104,10 @@ def test_wrong_arguments_are_refused(sheared):
         (lambda: forms.at(path.u, (0, 0)), r"has 3 coordinates, got \(0, 0\)"),
         (lambda: forms.resultant(path, "top"), "local facet indices.* got str top"),
         (lambda: forms.integral(psi), "got Sum: integrate a density with dx"),
+        (
+            lambda: forms.solve(psi * ufl.dx, path.u, record={"a": 1.0}),
+            "record needs functions of the system, got float for 'a'",
+        ),
         (lambda: forms.picture(mesh, "a.png"), "needs the unknown itself.* got Mesh"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_box
 
 import forms
+import meshes
 
 
 def apply(u, *supports):
@@ -140,6 +141,16 @@ def test_bad_supports_are_refused(call, message):
     mesh = unit_mesh(3)
     with pytest.raises(ValueError, match=message):
         call(forms.displacement(mesh), at_plane(mesh, 0, 0.0))
+
+
+def test_linear_displacements_of_curved_cells_are_refused():
+    """They do not contain rotations: 90 degrees gave stresses of 4 mu."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=1, order=2)
+    with pytest.raises(
+        ValueError, match="degree 1 cannot rotate a mesh of order 2 rigidly: take d"
+    ):
+        forms.displacement(body, 1)
+    assert forms.displacement(body, 2).x.array.size == 18
 
 
 def test_plane_rotation_needs_the_normal_as_axis():

@@ -175,5 +175,11 @@ def _checked(F: Expr, name: str, **parameters: Expr) -> Expr:
     for parameter, value in parameters.items():
         if isinstance(value, Real) and not isfinite(value):
             raise ValueError(f"{name} needs a finite {parameter}, got {value}.")
-    check_positive("shear modulus mu", parameters.get("mu", 1.0))
+    mu, lmbda = parameters.get("mu", 1.0), parameters.get("lmbda", 0.0)
+    check_positive("shear modulus mu", mu)
+    isotropic_moduli = isinstance(mu, Real) and isinstance(lmbda, Real) and "beta" not in parameters
+    if isotropic_moduli and not float(lmbda) + 2 / 3 * float(mu) > 0:
+        raise ValueError(
+            f"{name} needs a positive bulk modulus lmbda + 2/3 mu, got lmbda = {lmbda}, mu = {mu}."
+        )
     return F

@@ -73,6 +73,7 @@ def solve(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     record: Mapping[str, Callable[[System], Any]] | None = None,
+    load: float = 1.0,
 ) -> Path:
     """Solve for u at the present loads, in one step from its present values. Collective.
 
@@ -86,6 +87,7 @@ def solve(
         rtol: Tolerance of |R_free| relative to the force level, see :class:`Newton`.
         ctol: Tolerance of the last correction relative to the model's size.
         record: Functions of the system, evaluated at the solution; collective.
+        load: Load factor to be noted in the path and its files.
 
     Returns:
         Path of one step.
@@ -94,6 +96,7 @@ def solve(
         NotConverged: Newton's method failed; u has its old values.
         ValueError: forms or supports of the wrong kind.
     """
+    _check_record(record)
     problem = system(potential, u, supports, virtual_work)
     newton = Newton(problem, options, prefix, rtol, ctol)
     path, start = Path(u, problem), time.perf_counter()
@@ -105,8 +108,13 @@ def solve(
     path.seconds = time.perf_counter() - start
     if not outcome.converged:
         u.x.array[:] = before
-        raise _failure(path, f"{outcome.sentence()}. {_advice(prefix)}")
-    path.steps.append(Step(1.0, outcome, _recorded(record, problem)))
+        problem.update_dependents()
+        raise _failure(
+            path,
+            f"{outcome.sentence()}. The old state is kept. Reach the load in steps with "
+            f"forms.follow; -{prefix}snes_monitor shows each iteration.",
+        )
+    path.steps.append(Step(load, outcome, _recorded(record, problem)))
     path.completed, path.reason = True, outcome.sentence() + "."
     return path
 
@@ -167,6 +175,7 @@ def follow(
             f"follow needs the load factor of forms.load_factor, got {type(t).__name__}."
         )
     walk = _Walk.start(float(t.value), to, step, min_step, max_step)
+    _check_record(record)
     problem = system(potential, u, supports, virtual_work)
     if not problem.depends_on(t):
         raise ValueError(
@@ -206,7 +215,8 @@ def follow(
                 raise _failure(
                     path,
                     f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
-                    f"{2 * walk.ahead:.3g}. The last converged state is kept. {_advice(prefix)}",
+                    f"{2 * walk.ahead:.3g}. The last converged state is kept. Try a smaller "
+                    f"min_step; -{prefix}snes_monitor shows each iteration.",
                 )
             bar.set_postfix_str(f"step halved to {walk.ahead:.3g} ({outcome.reason})")
     finally:
@@ -306,8 +316,12 @@ def _recorded(record: Mapping[str, Callable] | None, problem: System) -> dict[st
     return {name: function(problem) for name, function in (record or {}).items()}
 
 
-def _advice(prefix: str) -> str:
-    return f"Try smaller load steps; -{prefix}snes_monitor shows each iteration."
+def _check_record(record: Mapping[str, Any] | None) -> None:
+    for name, function in (record or {}).items():
+        if not callable(function):
+            raise ValueError(
+                f"record needs functions of the system, got {type(function).__name__} for {name!r}."
+            )
 
 
 def _failure(path: Path, sentence: str) -> NotConverged:

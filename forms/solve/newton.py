@@ -131,6 +131,8 @@ class Newton:
         self._displacements = _displacement_dofs(system)
         if system.minimization and system.is_displacement:
             self.A.setNearNullSpace(linear.rigid_modes(system.u.function_space))
+        self._scale = self.b.duplicate()
+        self._scale.set(1)
         self._build(self._preset)
 
     def _build(self, preset: Mapping[str, str]) -> None:
@@ -170,16 +172,13 @@ class Newton:
         Collective. Call :meth:`predict` first when prescribed values have changed.
         """
         system = self.system
+        if self._rounding == 0:
+            self._measure_stiffness()
         if self._imbalance is None:
             self.measure_imbalance()
         self._get(self.x)
         system.prescribe(self.x)
         self._put(self.x)
-        if self._rounding == 0:
-            system.tangent(self.A)
-            free = np.setdiff1d(self._displacements, system.constrained)
-            diagonal = linear.typical_diagonal(self.A, free)
-            self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
             return Convergence(False, REASONS[-1], -1, 0, 0, np.inf, 0.0, np.inf)
@@ -203,6 +202,8 @@ class Newton:
         afterwards starts from exact boundary values and its residuals are forces only. Collective.
         """
         system = self.system
+        if self._rounding == 0:
+            self._measure_stiffness()
         self.measure_imbalance()
         self._get(self.x)
         jump = self.x.copy()
@@ -212,9 +213,10 @@ class Newton:
             jump.destroy()
             return
         system.lifted_residual(self.b)
+        self.b.pointwiseMult(self.b, self._scale)
         self.b.scale(-1)
         self.b.array[system.constrained] = jump.array_r[system.constrained]
-        system.tangent(self.A)
+        self._assemble_tangent()
         du, ksp = self.b.duplicate(), self.snes.getKSP()
         ksp.setOperators(self.A)
         ksp.solve(self.b, du)
@@ -227,8 +229,34 @@ class Newton:
     def measure_imbalance(self) -> None:
         """Remember |R_free| before u moves: the part of a load increment that is a force."""
         self.system.residual(self.b)
+        self.b.pointwiseMult(self.b, self._scale)
         self.b.array[self.system.constrained] = 0
         self._imbalance = self.b.norm()
+
+    def _measure_stiffness(self) -> None:
+        """Find the forces' rounding error, and the scale of a pressure unknown.
+
+        SNES solves for y in w = D y with D R and D K D, where D is 1 for displacements and
+        s = typical K_ii / h^(d - 1) [Pa] for pressures, h a typical cell's size. Then all entries
+        of the residual are forces [N] and those of the tangent stiffnesses, in any units.
+        """
+        system = self.system
+        system.tangent(self.A)
+        free = np.setdiff1d(self._displacements, system.constrained)
+        diagonal = linear.typical_diagonal(self.A, free)
+        self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
+        mesh = system.u.function_space.mesh
+        if is_mixed(system.u.function_space) and diagonal > 0:
+            dim = mesh.topology.dim
+            cells = mesh.topology.index_map(dim).size_global
+            pressures = np.setdiff1d(np.arange(self._scale.local_size), self._displacements)
+            h = self._size / cells ** (1 / dim)
+            self._scale.array[pressures] = diagonal / h ** (dim - 1)
+
+    def _assemble_tangent(self) -> None:
+        self.system.tangent(self.A)
+        if is_mixed(self.system.u.function_space):
+            self.A.diagonalScale(self._scale, self._scale)
 
     def destroy(self) -> None:
         """Free the PETSc objects (their callbacks refer to this one) and take the options back.
@@ -245,7 +273,8 @@ class Newton:
             )
         for key in self._presets | set(self._user):
             PETSc.Options().delValue(self.prefix + key)
-        for item in (self.snes, self._by_residual, self.A, self.b, self.x, self._x_before):
+        vectors = (self.b, self.x, self._x_before, self._scale)
+        for item in (self.snes, self._by_residual, self.A, *vectors):
             item.destroy()
 
     def _run(self, objective: bool, before: Convergence | None = None) -> Convergence:
@@ -286,6 +315,7 @@ class Newton:
         system.residual(self.b)
         supported = self.b.array_r[system.constrained]
         self._reactions = np.sqrt(system.comm.allreduce(float(supported @ supported)))
+        self.b.pointwiseMult(self.b, self._scale)
         self.b.array[system.constrained] = 0
         self.b.copy(f)
         if not valid:
@@ -293,7 +323,7 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self._put(x)
-        self.system.tangent(A)
+        self._assemble_tangent()
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         fnorm = norms[2]
@@ -317,13 +347,13 @@ class Newton:
         return -5 if iteration >= snes.getTolerances()[3] else 0
 
     def _put(self, x: PETSc.Vec) -> None:
-        """Copy a vector into the unknown, ghosts included."""
+        """Copy a vector of SNES into the unknown, ghosts included."""
         target = self.system.u.x.petsc_vec
-        x.copy(target)
+        target.pointwiseMult(x, self._scale)
         target.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
 
     def _get(self, x: PETSc.Vec) -> None:
-        self.system.u.x.petsc_vec.copy(x)
+        x.pointwiseDivide(self.system.u.x.petsc_vec, self._scale)
 
 
 def _was_used(name: str) -> bool:
