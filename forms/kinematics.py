@@ -3,7 +3,7 @@
 
 Every deformation gradient is 3x3, whatever the dimension of the mesh, so that one energy serves all
 of them; it is a ``ufl.variable``, so that ``ufl.diff(psi, F)`` is the stress.
-Equation numbers are those of document 003.
+Equation numbers are those of document 003 (see forms/README.md).
 """
 
 from __future__ import annotations
