@@ -17,6 +17,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
+from ufl.algorithms.analysis import extract_type
 
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
@@ -215,6 +216,11 @@ def _check_value(value: Expr) -> None:
         raise ValueError(
             "a prescribed component is a number, a scalar UFL expression of the reference point "
             f"and the load factor, or None, got {type(value).__name__}."
+        )
+    if extract_type(value, ufl.classes.FacetNormal):
+        raise ValueError(
+            "a prescribed component is evaluated at nodes, where there is no facet normal: write "
+            "the direction as an expression of ufl.SpatialCoordinate."
         )
 
 

@@ -131,6 +131,10 @@ def test_prescribed_field_of_the_reference_point():
         (lambda u, f: forms.clamp(ufl.split(u)[0], f), "needs the unknown itself.* got Indexed"),
         (lambda u, f: forms.translate(u, f, 0.1), "needs 3 values.* got 0.1"),
         (lambda u, f: forms.translate(u, f, (0, 0, lambda x: x)), "scalar UFL.* got function"),
+        (
+            lambda u, f: forms.translate(u, f, (ufl.FacetNormal(u.function_space.mesh)[0], 0, 0)),
+            "at nodes, where there is no facet normal",
+        ),
         (lambda u, f: forms.rotate(u, f, (1, 0, 0)), "scalar UFL expression.* got tuple"),
         (lambda u, f: forms.clamp(fem.Function(scalar(u)), f), "got f.* with 1"),
         (lambda u, f: forms.displacement(u.function_space.mesh, 0), "at least 1, got 0"),
