@@ -9,6 +9,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 
+import forms
+import meshes
 from forms import energies, stress
 
 MU, LMBDA, KAPPA = 1.3, 2.1, 4.0
@@ -124,3 +126,21 @@ def rates(errors, factor=2.0):
     """Observed orders between successive errors when the parameter is divided by factor."""
     errors = np.asarray(errors)
     return np.log(errors[:-1] / errors[1:]) / np.log(factor)
+
+
+def bending(scale=1.0, length=1.0, **solving):
+    """A short cantilever under a dead load at its end; lengths and moduli scaled."""
+    body = meshes.block(MPI.COMM_SELF, (4 * length, length), n=(8, 2), cells="quadrilateral")
+    u, t = forms.displacement(body), forms.load_factor(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0 * scale, 2.0 * scale)
+    load = forms.dead_traction(u, ufl.as_vector([0 * t, -0.01 * scale * t]), body.ds("right"))
+    path = forms.follow(
+        psi * ufl.dx + load,
+        u,
+        [forms.clamp(u, body.facets("left"))],
+        t,
+        progress=False,
+        record={"force": lambda s: forms.resultant(s, body.facets("left"))},
+        **solving,
+    )
+    return path, body

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""Failures and options: the last converged state is kept, and every message says what to do."""
+
+import numpy as np
+import pytest
+import ufl
+from cases import at_plane, bending, unit_mesh, whole
+from dolfinx import mesh as dmesh
+
+import forms
+from forms.solve import linear as linear_presets
+
+
+def test_a_failed_path_keeps_the_last_converged_state():
+    """A load that no step can follow: u and t hold the last converged state, the path its steps."""
+    mesh = unit_mesh(2, 2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    # The wall would pass through the other one at t = 1: det F = 0 there.
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (-2 * t, 0.0)),
+    ]
+    states = []
+    with pytest.raises(
+        forms.NotConverged, match=r"SNES stopped after \d+ .* load factor 0\.4"
+    ) as e:
+        forms.follow(
+            psi,
+            u,
+            supports,
+            t,
+            min_step=0.01,
+            progress=False,
+            on_step=lambda path: states.append((path.load, u.x.array.copy())),
+        )
+    assert "last converged state is kept" in str(e.value)
+    assert float(t.value) == e.value.path.load == states[-1][0] < 0.5
+    assert np.array_equal(u.x.array, states[-1][1])
+    assert not e.value.path.completed and e.value.path.refused > 0
+    assert e.value.path.reason == str(e.value)
+
+
+def test_a_failed_solve_gives_the_old_state_back():
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    u.x.array[:] = 0.001
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    support = forms.translate(u, at_plane(mesh, 0, 1.0), (0.5, 0.5))
+    supports = [forms.clamp(u, at_plane(mesh, 0, 0.0)), support]
+    with pytest.raises(
+        forms.NotConverged, match="Reach the load in steps with forms.follow; -mine_"
+    ):
+        forms.solve(psi, u, supports, options={"snes_max_it": 1}, prefix="mine_")
+    assert np.all(u.x.array == 0.001)
+
+
+def right_edge(mesh):
+    """Measure of the edge x = 1."""
+    facets = at_plane(mesh, 0, 1.0)
+    tags = dmesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
+    return ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+
+
+@pytest.mark.parametrize("mode", ["energy", "residual"])
+def test_states_without_a_finite_energy_are_refused(mode):
+    """Inside out, the residual mu (F - F^-T) is finite but the energy is not: no solution."""
+    mesh = unit_mesh(2, 1)
+    u = forms.displacement(mesh)
+    u.interpolate(lambda x: (-2 * x[0], 0 * x[1]))
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 0.0) * ufl.dx
+    v = ufl.TestFunction(u.function_space)
+    work = forms.follower_pressure(u, 1e-3, v, ufl.ds(mesh)) if mode == "residual" else None
+    support = forms.prescribe(u, whole(mesh), [-2 * ufl.SpatialCoordinate(mesh)[0], 0.0])
+    with pytest.raises(forms.NotConverged, match=r"0 iterations \(the energy is not finite"):
+        forms.solve(psi, u, [support], virtual_work=work)
+
+
+@pytest.mark.parametrize("mode", ["energy", "residual"])
+def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
+    """A traction of -3 mu: the first full step is to a stretch of -1/2, the solution at 0.303."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    potential = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 0.0) * ufl.dx
+    supports = [forms.roller(u, at_plane(mesh, axis, 0.0), axis) for axis in range(2)]
+    load = forms.dead_traction(u, (-3.0, 0.0), right_edge(mesh))
+    work = None
+    if mode == "energy":
+        potential = potential + load
+    else:
+        work = forms.residual(load, u)
+    seen = []
+    energy = forms.System.energy
+    monkeypatch.setattr(forms.System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
+    forms.solve(potential, u, supports, virtual_work=work)
+    assert not np.all(np.isfinite(seen))
+    stretch = (-3 + np.sqrt(13)) / 2  # mu (L - 1/L) = -3 mu
+    assert forms.at(u, (1.0, 0.0))[0] == pytest.approx(stretch - 1, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("options", "looser"),
+    [
+        ({"snes_rtol": 1e-2}, True),
+        ({"snes_atol": 1e3}, True),
+        ({"snes_type": "newtontr"}, False),
+        ({"snes_linesearch_type": "l2"}, False),
+        ({"ksp_type": "gmres", "pc_type": "ilu", "ksp_rtol": 1e-10}, False),
+    ],
+)
+def test_options_reach_petsc(options, looser):
+    """PETSc's tolerances, globalizations and linear solvers are chosen by its own names."""
+    plain, _ = bending()
+    chosen, _ = bending(options=options, ctol=1.0 if looser else 1e-6)
+    its = [sum(s.convergence.iterations for s in p.steps) for p in (plain, chosen)]
+    assert (its[1] < its[0]) == looser
+    distance = np.abs(plain.u.x.array - chosen.u.x.array).max()
+    assert (distance > 1e-6) == looser
+
+
+def test_options_end_with_their_solve():
+    """A solve's options do not reach the next one with its prefix; misspelled ones are named."""
+    with pytest.warns(UserWarning, match="did not use the options snes_typ: are they misspelled"):
+        bending(options={"snes_typ": "newtontr"})
+    with pytest.raises(forms.NotConverged):
+        bending(options={"snes_max_it": 1}, min_step=0.09)
+    path, _ = bending()
+    assert max(s.convergence.iterations for s in path.steps) > 1
+
+
+def test_an_absolute_tolerance_is_named():
+    path, _ = bending(options={"snes_atol": 1e3}, ctol=1.0)
+    assert path.steps[0].convergence.reason == "snes_atol = 1000 reached"
+
+
+@pytest.mark.parametrize("linear", ["cholesky", "gamg"])
+def test_linear_solvers_agree(linear):
+    """Multigrid with rigid body modes and the factorization reach the same solution."""
+    mesh = unit_mesh(3, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    options = linear_presets.multigrid() if linear == "gamg" else {}
+    path = forms.solve(psi, u, supports, options=options, prefix=f"{linear}_", rtol=1e-12)
+    ksp_its = path.steps[0].convergence.linear_iterations
+    assert (ksp_its > 3 * path.steps[0].convergence.iterations) == (linear == "gamg")
+    assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
+
+
+MIDDLE = [0.0, 0.15, 0.0]  # by the point symmetry of the sheared cube about its middle
+
+
+def test_an_interrupted_path_leaves_the_last_converged_state():
+    """An exception in the middle (here from on_step) leaves u and t at the last converged load."""
+    mesh = unit_mesh(2, 2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.3 * t, 0.0)),
+    ]
+
+    def interrupt(path):
+        if len(path.steps) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        forms.follow(psi, u, supports, t, on_step=interrupt, progress=False)
+    assert 0.3 <= float(t.value) < 1
+    assert forms.at(u, (1.0, 0.5)) == pytest.approx([0.3 * float(t.value), 0], abs=1e-14)
+
+
+def test_no_way_to_go_is_refused():
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh, 1.0)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    with pytest.raises(ValueError, match=r"the load factor is at 1.0 already: use solve"):
+        forms.follow(psi, u, [], t, to=1.0, progress=False)
+
+
+@pytest.mark.parametrize(("name", "value"), [("step", 0.0), ("min_step", -1.0), ("max_step", 0.0)])
+def test_steps_that_are_not_positive_are_refused(name, value):
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    with pytest.raises(ValueError, match=f"{name} = {value}"):
+        forms.follow(psi, u, [], t, **{name: value}, progress=False)
+
+
+def test_a_load_factor_that_nothing_depends_on_is_refused():
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    fixed = forms.clamp(u, at_plane(mesh, 0, 0.0))
+    with pytest.raises(ValueError, match="nothing depends on the load factor t"):
+        forms.follow(psi, u, [fixed], t, progress=False)
+    with pytest.raises(ValueError, match=r"load factor of forms.load_factor, got float"):
+        forms.follow(psi, u, [fixed], 0.0, progress=False)
+
+
+def test_supports_of_another_unknown_are_refused():
+    """They would be ignored, or read beyond the unknown's end."""
+    mesh = unit_mesh(2)
+    u, other = forms.displacement(mesh), forms.displacement(mesh, 2)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    left = at_plane(mesh, 0, 0.0)
+    for wrong in (forms.clamp(other, left), forms.clamp(forms.displacement(mesh), left)):
+        with pytest.raises(ValueError, match="made for another unknown than displacement"):
+            forms.solve(psi, u, [wrong])
+    with pytest.raises(ValueError, match="what forms.clamp, .* got DirichletBC"):
+        forms.solve(psi, u, forms.clamp(u, left).conditions)
+    assert forms.solve(psi, u, forms.clamp(u, left)).completed  # one alone needs no list
+
+
+def test_parts_of_a_mixed_unknown_are_refused():
+    """w.split() gives functions that nothing is differentiated by."""
+    mesh = unit_mesh(2)
+    w = forms.displacement_pressure(mesh)
+    F, (_, p) = forms.deformation_gradient(w.split()[0]), ufl.split(w)
+    psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 1.0), F, p, 1.0)
+    with pytest.raises(ValueError, match="a part of w that is not differentiated"):
+        forms.solve(psi * ufl.dx, w, [forms.clamp(w, at_plane(mesh, 0, 0.0))])
+    with pytest.raises(ValueError, match="needs the unknown itself.* got Sum"):
+        forms.solve(psi * ufl.dx, psi, [])
