@@ -185,12 +185,13 @@ def system(
     is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
     R = residual(potential, u) if is_energy else potential
     if virtual_work is not None:
-        if len(virtual_work.arguments()) != 1:
+        found = len(virtual_work.arguments()) if isinstance(virtual_work, ufl.Form) else "no form"
+        if found != 1:
             raise ValueError(
-                "virtual_work must be linear in one test function, got a form with "
-                f"{len(virtual_work.arguments())}; add a load's potential to the potential instead."
+                "virtual_work must be a form linear in one test function, got one with "
+                f"{found}; add a load's potential to the potential instead."
             )
-        R = R + with_quadrature(virtual_work, degree)
+        R = with_quadrature(R + virtual_work, degree)
     K = tangent(R, u)
     energetic = is_energy and virtual_work is None
     mixed = is_mixed(u.function_space)
@@ -202,7 +203,7 @@ def system(
         _energy=fem.form(potential) if is_energy else None,
         _residual=fem.form(R),
         _tangent=fem.form(K),
-        _dependents=dependents(potential),
+        _dependents=list(dict.fromkeys([*dependents(potential), *dependents(R)])),
         _constants=tuple(R.constants()),
     )
 

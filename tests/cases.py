@@ -144,3 +144,14 @@ def bending(scale=1.0, length=1.0, **solving):
         **solving,
     )
     return path, body
+
+
+def off(found, wanted):
+    """Relative difference of two arrays of one shape."""
+    found, wanted = np.asarray(found), np.asarray(wanted)
+    assert found.shape == wanted.shape
+    return np.abs(found - wanted).max() / np.abs(wanted).max()
+
+
+def agree(found, wanted, digits):
+    assert off(found, wanted) < 10.0**-digits

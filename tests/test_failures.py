@@ -225,3 +225,72 @@ def test_parts_of_a_mixed_unknown_are_refused():
         forms.solve(psi * ufl.dx, w, [forms.clamp(w, at_plane(mesh, 0, 0.0))])
     with pytest.raises(ValueError, match="needs the unknown itself.* got Sum"):
         forms.solve(psi * ufl.dx, psi, [])
+
+
+@pytest.mark.parametrize("start", ["rest", "near"])
+def test_multigrid_that_fails_gives_way_to_the_factorization(start, monkeypatch):
+    """CG stopped after one iteration: MUMPS goes on, whether energy or |R| was being lowered."""
+    mesh = unit_mesh(3, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    left, right = at_plane(mesh, 0, 0.0), at_plane(mesh, 0, 1.0)
+    supports = [forms.clamp(u, left), forms.translate(u, right, (0.0, 0.3, 0.0))]
+    forms.solve(psi, u, supports)
+    potential = psi + forms.body_force(u, (0, 0, 1e-5))
+    solved = u.x.array.copy()
+    forms.solve(potential, u, supports, rtol=1e-12)
+    wanted = u.x.array.copy()
+    u.x.array[:] = solved if start == "near" else 0
+    failing = {**linear_presets.multigrid(), "ksp_max_it": "1", "ksp_rtol": "1e-12"}
+    monkeypatch.setattr(linear_presets, "preset", lambda system: failing)
+    forms.solve(potential, u, supports, rtol=1e-12)
+    assert u.x.array == pytest.approx(wanted, abs=1e-11)
+    assert np.abs(wanted - solved).max() > 1e-7
+
+
+def test_a_solve_that_is_interrupted_gives_the_old_state_back(monkeypatch):
+    """Ctrl-C in the middle of Newton's method: u has its old values."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    right = forms.translate(u, at_plane(mesh, 0, 1.0), (0.3, 0.3))
+
+    def interrupt(newton):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(forms.Newton, "solve", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        forms.solve(psi, u, [forms.clamp(u, at_plane(mesh, 0, 0.0)), right])
+    assert np.all(u.x.array == 0)
+
+
+def test_a_record_that_fails_loses_no_converged_step():
+    """An exception in a record leaves u and t at the step that has just converged."""
+    mesh = unit_mesh(2)
+    u, t = forms.displacement(mesh), forms.load_factor(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [forms.prescribe(u, whole(mesh), (t * ufl.SpatialCoordinate(mesh)[0], 0.0))]
+
+    def broken(system):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        forms.follow(psi, u, supports, t, step=0.5, record={"x": broken}, progress=False)
+    assert float(t.value) == 0.5
+    assert forms.at(u, (1, 1)) == pytest.approx([0.5, 0])
+
+
+def test_virtual_work_beside_measures_without_names():
+    """A named measure in the virtual work beside ufl.ds in the potential: one residual of both."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    facets = at_plane(mesh, 0, 1.0)
+    tags = dmesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
+    right = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+    work = forms.follower_pressure(u, 0.1, ufl.TestFunction(u.function_space), right)
+    fixed = forms.clamp(u, at_plane(mesh, 0, 0.0))
+    path = forms.solve(psi + forms.spring(u, 1e-3, ufl.ds), u, [fixed], virtual_work=work)
+    assert path.completed and forms.at(u, (1.0, 0.5))[0] < -0.01
+    with pytest.raises(ValueError, match="linear in one test function, got one with no form"):
+        forms.solve(psi, u, [fixed], virtual_work=u[0])

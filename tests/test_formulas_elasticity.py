@@ -18,6 +18,8 @@ from cases import (
     MU,
     TRANSVERSE,
     Pointwise,
+    agree,
+    off,
     random_rotation,
     random_state,
 )
@@ -52,17 +54,6 @@ MATERIALS = {
     ),
 }
 every_material = pytest.mark.parametrize("name", MATERIALS)
-
-
-def off(found, wanted):
-    """Relative difference of two arrays of one shape."""
-    found, wanted = np.asarray(found), np.asarray(wanted)
-    assert found.shape == wanted.shape
-    return np.abs(found - wanted).max() / np.abs(wanted).max()
-
-
-def agree(found, wanted, digits):
-    assert off(found, wanted) < 10.0**-digits
 
 
 def states(rng, count=6):

@@ -12,7 +12,7 @@ import basix.ufl
 import numpy as np
 import pytest
 import ufl
-from cases import ENERGIES, FIBER, LMBDA, MU, TRANSVERSE, at_plane
+from cases import ENERGIES, FIBER, LMBDA, MU, TRANSVERSE, agree, at_plane, off
 from conftest import ROOT
 from dolfinx import fem
 from dolfinx import mesh as dmesh
@@ -46,17 +46,6 @@ MATERIALS = {
 }
 every_cell = pytest.mark.parametrize("cell", CELLS)
 every_material = pytest.mark.parametrize("name", MATERIALS)
-
-
-def off(found, wanted):
-    """Relative difference of two arrays of one shape."""
-    found, wanted = np.asarray(found), np.asarray(wanted)
-    assert found.shape == wanted.shape
-    return np.abs(found - wanted).max() / np.abs(wanted).max()
-
-
-def agree(found, wanted, digits):
-    assert off(found, wanted) < 10.0**-digits
 
 
 def distorted(cell):

@@ -101,14 +101,17 @@ def solve(
     newton = Newton(problem, options, prefix, rtol, ctol)
     path, start = Path(u, problem), time.perf_counter()
     before = u.x.array.copy()
+    converged = False
     try:
         outcome = _attempt(newton)
+        converged = outcome.converged
     finally:
+        if not converged:
+            u.x.array[:] = before
+            problem.update_dependents()
         newton.destroy()
     path.seconds = time.perf_counter() - start
-    if not outcome.converged:
-        u.x.array[:] = before
-        problem.update_dependents()
+    if not converged:
         raise _failure(
             path,
             f"{outcome.sentence()}. The old state is kept. Reach the load in steps with "
@@ -199,9 +202,9 @@ def follow(
                 _extrapolate(problem, earlier[0], walk.ahead / earlier[1])
             outcome = _attempt(newton)
             if outcome.converged:
-                path.steps.append(Step(float(t.value), outcome, _recorded(record, problem)))
                 earlier = (before, walk.ahead)
                 before, reached = u.x.array.copy(), float(t.value)
+                path.steps.append(Step(reached, outcome, _recorded(record, problem)))
                 walk.advance(outcome.iterations)
                 bar.update(walk.fraction - bar.n)
                 bar.set_postfix_str(f"t = {reached:.4g}, {outcome.iterations} iterations")

@@ -183,17 +183,28 @@ class Newton:
             self._imbalance = None
             return Convergence(False, REASONS[-1], -1, 0, 0, np.inf, 0.0, np.inf)
         self._solved = True
-        outcome = self._run(system.minimization)
-        if outcome.code == -3 and "gamg" in self._preset.values() and "pc_type" not in self._user:
-            self._preset = linear.direct(system.symmetric)
-            for key in linear.multigrid():
-                PETSc.Options().delValue(self.prefix + key)
-            self._build(self._preset)
-            outcome = self._run(system.minimization, outcome)
-        if outcome.code in (-6, NEAR_CODE) and system.minimization:
-            outcome = self._run(False, outcome)
+        objective = system.minimization
+        outcome = self._run(objective)
+        while True:
+            if outcome.code in (-6, NEAR_CODE) and objective:
+                objective = False
+            elif outcome.code != -3 or not self._leave_multigrid():
+                break
+            outcome = self._run(objective, outcome)
         self._imbalance = None
         return outcome
+
+    def _leave_multigrid(self) -> bool:
+        """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
+        if "gamg" not in self._preset.values() or "pc_type" in self._user:
+            return False
+        for key in self._preset:
+            PETSc.Options().delValue(self.prefix + key)
+        for snes in (self.snes, self._by_residual):
+            snes.destroy()
+        self._preset = linear.direct(self.system.symmetric)
+        self._build(self._preset)
+        return True
 
     def predict(self) -> None:
         """Move u by one tangent solve that carries the prescribed values to the present load.
