@@ -23,6 +23,7 @@ from .kinematics import (
     volume_ratio,
 )
 from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
+from .operators import SingularValueEnergy, compiled
 from .output import VTX, summary
 from .pictures import picture
 from .results import (
@@ -95,6 +96,8 @@ __all__ = [  # in the order a user meets them
     "material_virtual_work",
     "linearized_material",
     "linearized_spatial",
+    "SingularValueEnergy",
+    "compiled",
     "System",
     "system",
     "solve",

@@ -22,6 +22,7 @@ if not (0, 9) <= VERSION < (0, 12):
         "run it through docker/enter, or install one of these releases."
     )
 LATER = VERSION >= (0, 10)
+CUSTOM_DATA = LATER  # FFCx kernels take a pointer more
 
 
 def geometric_dimension(domain: Any) -> int:
@@ -34,6 +35,12 @@ def topological_dimension(domain: Any) -> int:
     """Topological dimension of a UFL mesh (a method up to UFL 2025.1, a property later)."""
     dim = domain.topological_dimension
     return int(dim() if callable(dim) else dim)
+
+
+def cell_name(cell: Any) -> str:
+    """Name of a UFL cell (a method up to UFL 2024.2, a property later)."""
+    name = cell.cellname
+    return str(name() if callable(name) else name)
 
 
 def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
@@ -66,3 +73,63 @@ def bounding_boxes(
 ) -> geometry.BoundingBoxTree:
     """Tree of the bounding boxes of entities (0.10: these go by name only)."""
     return geometry.bb_tree(mesh, dim, entities=entities)
+
+
+def cpp_mesh(domain: Any) -> Any:
+    """DOLFINx's C++ mesh of a UFL mesh."""
+    mesh = domain.ufl_cargo()
+    return getattr(mesh, "_cpp_object", mesh)
+
+
+def custom_form(
+    mesh: Any,
+    spaces: list[fem.FunctionSpace],
+    integrals: dict[fem.IntegralType, list[tuple[int, NDArray[np.int32], int]]],
+    coefficients: list[fem.Function],
+    constants: list[fem.Constant],
+    permutations: bool,
+) -> fem.Form:
+    """Form on a C++ mesh of integrals given by kernel address, entities, coefficients packed."""
+    listed = {
+        kind: [
+            # 0.10 wants the numbers 0, 1, .. here and not the subdomains'.
+            (number, address, entities, np.arange(count, dtype=np.int8))
+            for number, (address, entities, count) in enumerate(parts)
+        ]
+        for kind, parts in integrals.items()
+    }
+    arguments: tuple[Any, ...] = (
+        [V._cpp_object for V in spaces],
+        listed,
+        [f._cpp_object for f in coefficients],
+        [c._cpp_object for c in constants],
+        permutations,
+        [] if LATER else {},
+        mesh,
+    )
+    return fem.Form(fem.form_cpp_class(np.float64)(*arguments))
+
+
+def integration_entities(
+    mesh: Any, kind: fem.IntegralType, subdomain: Any, number: int
+) -> NDArray[np.int32]:
+    """Entities of an integral as DOLFINx wants them; -1: the whole mesh, owned entities only."""
+    topology, dim = mesh.topology, mesh.topology.dim
+    facets = kind == fem.IntegralType.exterior_facet
+    if subdomain is not None and number != -1 and not hasattr(subdomain, "find"):
+        found = [np.asarray(entities) for tag, entities in subdomain if tag == number]
+        return np.concatenate([*found, np.empty(0)]).astype(np.int32)
+    if facets:
+        topology.create_connectivity(dim - 1, dim)
+        topology.create_connectivity(dim, dim - 1)
+    if number != -1:
+        entities = subdomain.find(number)
+    elif facets:
+        entities = dolfinx.cpp.mesh.exterior_facet_indices(topology)
+    else:
+        return np.arange(topology.index_map(dim).size_local, dtype=np.int32)
+    compute = dolfinx.cpp.fem.compute_integration_domains
+    if LATER:
+        return np.asarray(compute(kind, topology, entities)).ravel()
+    found = compute(kind, topology, entities, dim - 1 if facets else dim)
+    return np.asarray(found).ravel()

@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx
+from .operators.chain import Dependent, dependents, expanded
+from .operators.lowering import compiled, default_degree
 from .supports import Support, is_mixed
-from .variation import Dependent, dependents, residual, tangent
+from .variation import residual, tangent
 
 
 @dataclass(eq=False)
@@ -42,9 +44,11 @@ class System:
     _energy: fem.Form | None
     _residual: fem.Form
     _tangent: fem.Form
+    _tangent_form: ufl.Form
     _dependents: list[Dependent]
     _constants: tuple[fem.Constant, ...]
     constrained: NDArray[np.int32] = field(init=False)
+    _projected: fem.Form | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         imap, bs = self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.bs
@@ -142,13 +146,37 @@ class System:
         fem_petsc.apply_lifting(b, [self._tangent], bcs=[self.conditions], x0=[x], alpha=-1.0)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
-    def tangent(self, A: PETSc.Mat) -> None:
-        """Assemble the tangent at u into A, supported rows and columns those of identity."""
+    def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
+        """Assemble the tangent at u into A, supported rows and columns those of identity.
+
+        Args:
+            A: Matrix of :meth:`create_matrix`.
+            projected: Make each contribution positive semi-definite first: the second derivatives
+                of energies in singular values at each point, the matrices of cells and facets of
+                all other terms. Its Newton direction lowers the energy from any state.
+
+        Raises:
+            ValueError: projected, where the potential is none of the displacement alone.
+        """
+        form = self._tangent
+        if projected:
+            self.check_projection()
+            if self._projected is None:
+                self._projected = compiled(self._tangent_form, project=True)
+            form = self._projected
         self.update_dependents()
         A.zeroEntries()
         # mypy sees the first of two overloads only.
-        fem_petsc.assemble_matrix(A, self._tangent, self.conditions)  # type: ignore[arg-type]
+        fem_petsc.assemble_matrix(A, form, self.conditions)  # type: ignore[arg-type]
         A.assemble()
+
+    def check_projection(self) -> None:
+        """Refuse a projection of a tangent that is no second derivative to be minimized by."""
+        if not (self.minimization and self.is_displacement):
+            raise ValueError(
+                "a projected tangent needs a potential of the displacement alone, got a mixed "
+                "unknown, a virtual work or a residual: solve with projection='never'."
+            )
 
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""
@@ -200,10 +228,11 @@ def system(
         supports=supports,
         minimization=energetic and not mixed,
         symmetric=energetic,
-        _energy=fem.form(potential) if is_energy else None,
-        _residual=fem.form(R),
-        _tangent=fem.form(K),
-        _dependents=list(dict.fromkeys([*dependents(potential), *dependents(R)])),
+        _energy=compiled(potential) if is_energy else None,
+        _residual=compiled(R),
+        _tangent=compiled(K),
+        _tangent_form=K,
+        _dependents=list(dict.fromkeys([*dependents(expanded(potential)), *dependents(R)])),
         _constants=tuple(R.constants()),
     )
 
@@ -255,8 +284,7 @@ def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
     }
     for integral in form.integrals():
         metadata = dict(integral.metadata())
-        cells = integral.integral_type() == "cell"
-        default = 2 * degree if cells else max(2 * degree, 3 * degree - 1)
+        default = default_degree(integral.integral_type(), degree)
         metadata.setdefault("quadrature_degree", default)
         data = integral.subdomain_data() or subdomains.get(integral.integral_type())
         integrals.append(integral.reconstruct(metadata=metadata, subdomain_data=data))

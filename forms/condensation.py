@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem
 
 from .kinematics import Expr, _dimension, _embed
+from .operators.chain import Pointwise, contains
 
 MAX_ITERATIONS = 50
 
@@ -89,6 +90,11 @@ def plane_stress(u: fem.Function, psi: Callable[[Expr], Expr], degree: int | Non
         raise ValueError(
             "plane_stress needs the energy as a function of F, as lambda F: neo_hookean(F, 1, 2), "
             f"got {type(psi).__name__}."
+        )
+    if contains(psi(_embed(u, 1)), Pointwise):
+        raise ValueError(
+            "plane_stress condenses energies in plain UFL, whose derivatives UFL knows; for one in "
+            "singular values use neo_hookean or another that is written in F, or plane strain."
         )
     if degree is None:
         degree = 2 * u.function_space.element.basix_element.degree

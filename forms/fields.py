@@ -14,7 +14,10 @@ from ufl.algorithms import extract_coefficients
 
 from . import _checks, _dolfinx
 from .kinematics import Expr
-from .variation import update_dependents
+from .operators.chain import update_dependents
+from .operators.evaluate import at_points
+from .operators.jets import Jet
+from .operators.lowering import compiled
 
 
 def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
@@ -43,11 +46,13 @@ def discontinuous(mesh: Any, degree: int, shape: tuple[int, ...] = ()) -> fem.Fu
 
 def quadrature_degrees(expression: Expr) -> list[int]:
     """Degrees of the quadrature rules that coefficients of an expression live on."""
-    return [
-        c.ufl_element().embedded_superdegree
-        for c in extract_coefficients(ufl.as_ufl(expression))
-        if c.ufl_element().has_custom_quadrature
-    ]
+    found = []
+    for c in extract_coefficients(ufl.as_ufl(expression)):
+        if isinstance(c, Jet):
+            found += quadrature_degrees(c.jets.packed)
+        elif c.ufl_element().has_custom_quadrature:
+            found.append(c.ufl_element().embedded_superdegree)
+    return found
 
 
 class Evaluation:
@@ -61,15 +66,17 @@ class Evaluation:
     def __init__(self, expression: Expr, f: fem.Function) -> None:
         self._f, self._source = f, ufl.as_ufl(expression)
         V = f.function_space
-        at_points = quadrature_degrees(expression)
-        self._projected = bool(at_points)
+        degrees = quadrature_degrees(expression)
+        self._projected = bool(degrees)
         if not self._projected:
-            self._expression = fem.Expression(expression, _dolfinx.interpolation_points(V))
+            points = _dolfinx.interpolation_points(V)
+            self._source = at_points(expression, V.mesh, points)
+            self._expression = fem.Expression(self._source, points)
             return
-        dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": max(at_points)})
+        dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": max(degrees)})
         v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
-        self._mass = fem.form(ufl.inner(w, v) * dx)
-        self._moments = fem.form(ufl.inner(expression, v) * dx)
+        self._mass = compiled(ufl.inner(w, v) * dx)
+        self._moments = compiled(ufl.inner(expression, v) * dx)
 
     def update(self) -> None:
         """Evaluate the expression at present values. Collective."""
@@ -82,7 +89,8 @@ class Evaluation:
 
     def _project(self) -> None:
         M, b = fem_petsc.create_matrix(self._mass), _dolfinx.create_vector(self._moments)
-        fem_petsc.assemble_matrix(M, self._mass)
+        # mypy sees the first of two overloads only.
+        fem_petsc.assemble_matrix(M, self._mass)  # type: ignore[arg-type]
         M.assemble()
         fem_petsc.assemble_vector(b, self._moments)
         ksp = PETSc.KSP().create(self._f.function_space.mesh.comm)

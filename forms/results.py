@@ -19,8 +19,9 @@ from ._parallel import bounding_box
 from .assembly import System
 from .fields import quadrature_degrees
 from .kinematics import Expr
+from .operators.chain import update_dependents
+from .operators.lowering import compiled as compile_form
 from .supports import is_mixed
-from .variation import update_dependents
 
 Array = NDArray[np.float64]
 
@@ -119,7 +120,7 @@ def integral(form: ufl.Form) -> float:
             f"integral needs a functional, got {type(form).__name__}: integrate a density with dx."
         )
     update_dependents(form)
-    compiled = fem.form(form)
+    compiled = compile_form(form)
     return float(compiled.mesh.comm.allreduce(fem.assemble_scalar(compiled)))
 
 

@@ -11,6 +11,7 @@ import ufl
 from ufl.corealg.traversal import unique_pre_traversal
 
 from .kinematics import Expr
+from .operators.chain import diff
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))  # (27): 11, 22, 33, 12, 23, 13
 
@@ -32,7 +33,7 @@ def first_piola(psi: Expr, F: Expr) -> Expr:
             "psi was not written with this F, so that dpsi/dF would be 0: pass the same F to the "
             "energy and to the stress."
         )
-    return ufl.diff(psi, F)
+    return diff(psi, F)
 
 
 def second_piola(psi: Expr, F: Expr) -> Expr:
@@ -63,7 +64,7 @@ def pull_back(sigma: Expr, F: Expr) -> Expr:
 
 def first_elasticity(psi: Expr, F: Expr) -> Expr:
     """First elasticity tensor A_iJkL = d2psi / dF_iJ dF_kL [Pa], shape (3, 3, 3, 3)."""
-    return ufl.diff(first_piola(psi, F), F)
+    return diff(first_piola(psi, F), F)
 
 
 def material_elasticity(psi: Expr, F: Expr) -> Expr:

@@ -9,28 +9,12 @@ reference body, so grad v = dF[v] F^-1 and dv = J dV.
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms import expand_derivatives
 
 from .kinematics import Expr
-
-
-@runtime_checkable
-class Dependent(Protocol):
-    """A coefficient that is a function of the unknown and knows its own derivative.
-
-    ``derivative`` differentiates through it: in direction du it moves by ``direction(du)``.
-    Before every assembly ``update()`` brings its values up to date.
-    """
-
-    def direction(self, unknown: fem.Function, du: Expr) -> Expr:
-        """Change of the coefficient when the unknown moves by du."""
-
-    def update(self) -> None:
-        """Recompute the coefficient from the unknown's present values; collective."""
+from .operators.chain import rate
 
 
 def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
@@ -43,27 +27,11 @@ def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
         u: Unknown: scalar, vector or mixed.
         du: Argument or function of the same space.
 
-    Coefficients that depend on u (:class:`Dependent`) are differentiated through: the derivative is
-    then taken in several coefficients at once, each in its own direction.
+    Energies in singular values and coefficients that depend on u
+    (:class:`~forms.operators.chain.Dependent`) are differentiated through: the derivative is then
+    taken in several coefficients at once, each in its own direction.
     """
-    chained = dependents(form)
-    if not chained:
-        return ufl.derivative(form, u, du)
-    # A derivative node inside a direction is not lowered, so expand it first.
-    moved = [expand_derivatives(c.direction(u, du)) for c in chained]
-    return ufl.derivative(form, (u, *chained), (du, *moved))
-
-
-def dependents(form: ufl.Form) -> list[Dependent]:
-    """Coefficients of a form that depend on the unknown, in the form's order."""
-    return [c for c in form.coefficients() if isinstance(c, Dependent)]
-
-
-def update_dependents(integrand: ufl.Form | Expr) -> None:
-    """Bring the coefficients of a form or an expression that depend on the unknown up to date."""
-    for c in extract_coefficients(integrand):
-        if isinstance(c, Dependent):
-            c.update()
+    return rate(form, u, du)
 
 
 def residual(potential: ufl.Form, u: fem.Function) -> ufl.Form:

@@ -12,6 +12,8 @@ from dolfinx import fem, mesh
 import forms
 import meshes
 from forms import energies, stress
+from forms.operators.chain import update_dependents
+from forms.operators.evaluate import at_points
 
 MU, LMBDA, KAPPA = 1.3, 2.1, 4.0
 FIBER = np.array([0.8, 0.6, 0.0])
@@ -55,6 +57,29 @@ ENERGIES = {
     ),
 }
 
+# The same for energies in singular values.
+STRETCHES = {
+    "fixed_corotated": lambda F: energies.fixed_corotated(F, MU, LMBDA),
+    "corotated_linear": lambda F: energies.corotated_linear(F, MU, LMBDA),
+    "as_rigid_as_possible": lambda F: (
+        energies.as_rigid_as_possible(F, MU) + energies.volumetric(F, KAPPA)
+    ),
+    "symmetric_dirichlet": lambda F: energies.symmetric_dirichlet(F, MU),
+    "hencky": lambda F: energies.hencky(F, MU, LMBDA),
+    "ogden": _isochoric(lambda F: energies.ogden(F, [1.6, -0.13], [1.5, -2.0])),
+    "neo_hookean_stretches": lambda F: energies.neo_hookean_stretches(F, MU, LMBDA),
+    "saint_venant_kirchhoff_stretches": lambda F: energies.saint_venant_kirchhoff_stretches(
+        F, MU, LMBDA
+    ),
+    "stable_neo_hookean_stretches": lambda F: energies.stable_neo_hookean_stretches(F, MU, LMBDA),
+    "extended_hencky": lambda F: energies.extended(energies.hencky, 0.9)(F, MU, LMBDA),
+    "activated": lambda F: (energies.activated(F, np.eye(3), MU) + energies.volumetric(F, KAPPA)),
+    "written_by_a_user": lambda F: energies.principal(
+        lambda s1, s2, s3: MU / 2 * (s1**2 + s2**2 + s3**2 - 3) - MU * (s1 * s2 * s3 - 1)
+    )(F)
+    + energies.volumetric(F, KAPPA),
+}
+
 
 def unit_mesh(dim, n=1, cells=None):
     """A unit square or cube on this rank alone."""
@@ -88,10 +113,13 @@ class Pointwise:
         sigma = stress.cauchy(density, F)
         c = stress.voigt_elasticity(stress.spatial_elasticity(density, F))
         parts = [density, *_entries(P), *_entries(S), *_entries(sigma), *_entries(c)]
-        self._kernel = fem.Expression(ufl.as_vector(parts), np.full((1, 3), 0.25))
+        point = np.full((1, 3), 0.25)
+        self._parts = at_points(ufl.as_vector(parts), self.mesh, point)
+        self._kernel = fem.Expression(self._parts, point)
 
     def __call__(self, F):
         self.F.value[:] = F
+        update_dependents(self._parts)
         v = self._kernel.eval(self.mesh, np.array([0], dtype=np.int32)).ravel()
         tensors = v[1:28].reshape(3, 3, 3)
         return {

@@ -12,6 +12,7 @@ from cases import (
     KAPPA,
     LMBDA,
     MU,
+    STRETCHES,
     TRANSVERSE,
     Pointwise,
     random_rotation,
@@ -20,12 +21,13 @@ from cases import (
 
 from forms import energies
 
-every_energy = pytest.mark.parametrize("name", ENERGIES)
+EVERY = ENERGIES | STRETCHES
+every_energy = pytest.mark.parametrize("name", EVERY)
 
 
 @functools.cache
 def evaluator(name):
-    return Pointwise(ENERGIES[name])
+    return Pointwise(EVERY[name])
 
 
 @every_energy
@@ -78,6 +80,20 @@ def test_isotropy_or_symmetry_about_the_fiber(name, rng):
         ("yeoh", 2 * 0.65, KAPPA - 4 / 3 * 0.65),
         ("saint_venant_kirchhoff", MU, LMBDA),
         ("stable_neo_hookean", MU, LMBDA),
+        ("fixed_corotated", MU, LMBDA),
+        ("corotated_linear", MU, LMBDA),
+        ("as_rigid_as_possible", MU, KAPPA),
+        ("symmetric_dirichlet", MU, 0.0),
+        ("hencky", MU, LMBDA),
+        # 2 mu = sum mu_p alpha_p = 2.66
+        ("ogden", 1.33, KAPPA - 2 / 3 * 1.33),
+        ("neo_hookean_stretches", MU, LMBDA),
+        ("saint_venant_kirchhoff_stretches", MU, LMBDA),
+        ("stable_neo_hookean_stretches", MU, LMBDA),
+        ("extended_hencky", MU, LMBDA),
+        ("activated", MU, KAPPA),
+        # mu/2 sum s^2 - mu J has the Hessian of mu (sum e_i^2 - .. ): mu, and lmbda = kappa - mu
+        ("written_by_a_user", MU, KAPPA - MU),
     ],
 )
 def test_small_strains_have_the_lame_parameters(name, mu, lmbda):
@@ -164,7 +180,9 @@ def test_guccione_is_the_formula_in_fiber_axes(rng):
 def test_inverted_states(name):
     """Det F < 0: energies with ln J or J^(-2/3) are not finite, the others are."""
     psi = evaluator(name)(np.diag([1.1, 0.9, -0.5]))["psi"]
+    logarithmic = ("hencky", "ogden", "neo_hookean_stretches")
     finite = name in ("saint_venant_kirchhoff", "stable_neo_hookean", "guccione")
+    finite |= name in STRETCHES and name not in logarithmic
     # (ln J^2 is defined for J < 0: an energy in III sees no inversion.)
     assert np.isfinite(psi) == (finite or name == "isotropic")
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Energy densities: functions of a 3x3 deformation gradient that return psi [J/m^3]."""
 
+from .activated import activated
 from .isotropic import (
     isochoric_neo_hookean,
     isotropic,
@@ -14,6 +15,19 @@ from .isotropic import (
 )
 from .mixed import with_pressure
 from .moduli import bulk_modulus, lame_from_shear, lame_from_young
+from .principal import (
+    as_rigid_as_possible,
+    corotated_linear,
+    extended,
+    fixed_corotated,
+    hencky,
+    neo_hookean_stretches,
+    ogden,
+    principal,
+    saint_venant_kirchhoff_stretches,
+    stable_neo_hookean_stretches,
+    symmetric_dirichlet,
+)
 from .transversely_isotropic import (
     guccione,
     transversely_isotropic_constants,
@@ -22,8 +36,14 @@ from .transversely_isotropic import (
 )
 
 __all__ = [
+    "activated",
+    "as_rigid_as_possible",
     "bulk_modulus",
+    "corotated_linear",
+    "extended",
+    "fixed_corotated",
     "guccione",
+    "hencky",
     "isochoric_neo_hookean",
     "isotropic",
     "lame_from_shear",
@@ -31,8 +51,14 @@ __all__ = [
     "mooney_rivlin",
     "neo_hookean",
     "neo_hookean_quadratic",
+    "neo_hookean_stretches",
+    "ogden",
+    "principal",
     "saint_venant_kirchhoff",
+    "saint_venant_kirchhoff_stretches",
     "stable_neo_hookean",
+    "stable_neo_hookean_stretches",
+    "symmetric_dirichlet",
     "transversely_isotropic_constants",
     "transversely_isotropic_constants_five",
     "transversely_isotropic_neo_hookean",

@@ -8,13 +8,11 @@ or J^(-2/3) infinite or NaN; a solve refuses such states. The others are finite 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
-from numbers import Real
 
 import ufl
 
 from ..kinematics import Expr, green_strain, invariants, isochoric
-from .moduli import check_positive
+from .moduli import check_moduli, check_positive
 
 VOLUMETRIC = ("quadratic", "simo", "log")
 
@@ -172,14 +170,5 @@ def _checked(F: Expr, name: str, **parameters: Expr) -> Expr:
             f"{name} needs a 3x3 F, got shape {F.ufl_shape}: pass "
             "forms.deformation_gradient(u), which is 3x3 on plane meshes too."
         )
-    for parameter, value in parameters.items():
-        if isinstance(value, Real) and not isfinite(value):
-            raise ValueError(f"{name} needs a finite {parameter}, got {value}.")
-    mu, lmbda = parameters.get("mu", 1.0), parameters.get("lmbda", 0.0)
-    check_positive("shear modulus mu", mu)
-    isotropic_moduli = isinstance(mu, Real) and isinstance(lmbda, Real) and "beta" not in parameters
-    if isotropic_moduli and not float(lmbda) + 2 / 3 * float(mu) > 0:
-        raise ValueError(
-            f"{name} needs a positive bulk modulus lmbda + 2/3 mu, got lmbda = {lmbda}, mu = {mu}."
-        )
+    check_moduli(name, **parameters)
     return F

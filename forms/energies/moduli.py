@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from numbers import Real
 
 from ..kinematics import Expr
@@ -45,6 +46,20 @@ def check_poisson_ratio(nu: Expr) -> None:
         raise ValueError(
             f"a compressible material needs a Poisson ratio between -1 and 1/2, got nu = {nu}; "
             "for nu = 1/2 use energies.with_pressure without kappa."
+        )
+
+
+def check_moduli(name: str, **parameters: Expr) -> None:
+    """Refuse numbers that are not finite, and mu and lmbda of an unstable material."""
+    for parameter, value in parameters.items():
+        if isinstance(value, Real) and not isfinite(value):
+            raise ValueError(f"{name} needs a finite {parameter}, got {value}.")
+    mu, lmbda = parameters.get("mu", 1.0), parameters.get("lmbda", 0.0)
+    check_positive("shear modulus mu", mu)
+    isotropic_moduli = isinstance(mu, Real) and isinstance(lmbda, Real) and "beta" not in parameters
+    if isotropic_moduli and not float(lmbda) + 2 / 3 * float(mu) > 0:
+        raise ValueError(
+            f"{name} needs a positive bulk modulus lmbda + 2/3 mu, got lmbda = {lmbda}, mu = {mu}."
         )
 
 

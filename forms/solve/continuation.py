@@ -72,6 +72,7 @@ def solve(
     prefix: str = "variform_",
     rtol: float = 1e-8,
     ctol: float = 1e-6,
+    projection: str = "auto",
     record: Mapping[str, Callable[[System], Any]] | None = None,
     load: float = 1.0,
 ) -> Path:
@@ -86,6 +87,8 @@ def solve(
         prefix: Prefix of the options on the command line, which wins over ``options``.
         rtol: Tolerance of |R_free| relative to the force level, see :class:`Newton`.
         ctol: Tolerance of the last correction relative to the model's size.
+        projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
+            see :class:`Newton`.
         record: Functions of the system, evaluated at the solution; collective.
         load: Load factor to be noted in the path and its files.
 
@@ -98,7 +101,7 @@ def solve(
     """
     _check_record(record)
     problem = system(potential, u, supports, virtual_work)
-    newton = Newton(problem, options, prefix, rtol, ctol)
+    newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
     before = u.x.array.copy()
     converged = False
@@ -137,6 +140,7 @@ def follow(
     prefix: str = "variform_",
     rtol: float = 1e-8,
     ctol: float = 1e-6,
+    projection: str = "auto",
     record: Mapping[str, Callable[[System], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     progress: bool = True,
@@ -160,6 +164,8 @@ def follow(
         prefix: Prefix of the options on the command line, which wins over ``options``.
         rtol: Tolerance of |R_free| relative to the force level, see :class:`Newton`.
         ctol: Tolerance of the last correction relative to the model's size.
+        projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
+            see :class:`Newton`.
         record: Functions of the system, evaluated after each step and kept in the path; collective.
         on_step: Called with the path after each step, as a :class:`forms.VTX` writer.
         progress: Show a progress bar on rank 0.
@@ -184,7 +190,7 @@ def follow(
         raise ValueError(
             "nothing depends on the load factor t: write a load or a support with it, or use solve."
         )
-    newton = Newton(problem, options, prefix, rtol, ctol)
+    newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
     bar = tqdm(
         total=1.0,

@@ -31,6 +31,8 @@ EPS = float(np.finfo(float).eps)
 NEAR = 1e-3
 CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
+PROJECTIONS = ("auto", "always", "never")
+
 REASONS = {
     -1: "the energy is not finite at the start",
     -3: "the linear solver failed",
@@ -59,6 +61,7 @@ class Convergence:
         reason: Why it stopped, in words.
         code: PETSc's SNESConvergedReason.
         iterations: Newton iterations.
+        projected: Those of them that used the projected tangent.
         linear_iterations: Iterations of the linear solver in all.
         residual: Norm of the out-of-balance forces at free degrees of freedom [N].
         force_level: Force [N] that the residual is compared with.
@@ -69,6 +72,7 @@ class Convergence:
     reason: str
     code: int
     iterations: int
+    projected: int
     linear_iterations: int
     residual: float
     force_level: float
@@ -77,8 +81,9 @@ class Convergence:
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
         verb = "converged" if self.converged else "stopped"
+        projected = f", {self.projected} of them projected" if self.projected else ""
         return (
-            f"SNES {verb} after {self.iterations} iterations ({self.reason}), "
+            f"SNES {verb} after {self.iterations} iterations{projected} ({self.reason}), "
             f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}, "
             f"last correction {self.correction:.1e}"
         )
@@ -95,7 +100,8 @@ class Newton:
     Where the problem is a minimization the line search lowers the energy until |R_free| is a
     thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
     energy or residual that is not finite. If lowering the energy fails (an indefinite tangent gives
-    no descent) the same state goes on with |R|; if the multigrid preset fails, with MUMPS.
+    no descent) the same state goes on with the projected tangent, and if that fails with |R|; if
+    the multigrid preset fails, with MUMPS.
 
     Args:
         system: What to solve.
@@ -104,6 +110,13 @@ class Newton:
         rtol: Tolerance of the residual; the option snes_rtol goes over it, and snes_atol [N] sets
             an absolute one (none by default).
         ctol: Tolerance of the last correction, relative to the model's size.
+        projection: When to make the tangent positive semi-definite (:meth:`System.tangent`), so
+            that its direction lowers the energy from any state: "auto", after the search along the
+            full tangent's has failed; "always", from the start; "never". Near the solution the full
+            tangent is used again, so that convergence is quadratic.
+
+    Raises:
+        ValueError: another word, or "always" where there is no potential of displacements alone.
     """
 
     def __init__(
@@ -113,7 +126,13 @@ class Newton:
         prefix: str = "variform_",
         rtol: float = 1e-8,
         ctol: float = 1e-6,
+        projection: str = "auto",
     ) -> None:
+        if projection not in PROJECTIONS:
+            raise ValueError(f"projection is one of {', '.join(PROJECTIONS)}, got {projection!r}.")
+        if projection == "always":
+            system.check_projection()
+        self.projection, self._projecting = projection, False
         self.system, self.ctol, self.prefix = system, ctol, prefix
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
@@ -181,18 +200,27 @@ class Newton:
         self._put(self.x)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
-            return Convergence(False, REASONS[-1], -1, 0, 0, np.inf, 0.0, np.inf)
+            return Convergence(False, REASONS[-1], -1, 0, 0, 0, np.inf, 0.0, np.inf)
         self._solved = True
         objective = system.minimization
+        self._projecting = self.projection == "always"
         outcome = self._run(objective)
         while True:
-            if outcome.code in (-6, NEAR_CODE) and objective:
-                objective = False
+            if outcome.code == -6 and objective and self._may_project():
+                self._projecting = True
+            elif outcome.code in (-6, NEAR_CODE) and objective:
+                objective = self._projecting = False
             elif outcome.code != -3 or not self._leave_multigrid():
                 break
             outcome = self._run(objective, outcome)
         self._imbalance = None
         return outcome
+
+    def _may_project(self) -> bool:
+        """Whether the projected tangent is still to be tried."""
+        system = self.system
+        possible = system.minimization and system.is_displacement
+        return self.projection == "auto" and possible and not self._projecting
 
     def _leave_multigrid(self) -> bool:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
@@ -265,7 +293,7 @@ class Newton:
             self._scale.array[pressures] = diagonal / h ** (dim - 1)
 
     def _assemble_tangent(self) -> None:
-        self.system.tangent(self.A)
+        self.system.tangent(self.A, self._projecting)
         if is_mixed(self.system.u.function_space):
             self.A.diagonalScale(self._scale, self._scale)
 
@@ -306,6 +334,8 @@ class Newton:
             reason=reached if converged else REASONS.get(code, f"reason {code}"),
             code=code,
             iterations=snes.getIterationNumber() + (before.iterations if before else 0),
+            projected=(snes.getIterationNumber() if self._projecting else 0)
+            + (before.projected if before else 0),
             linear_iterations=snes.getLinearSolveIterations()
             + (before.linear_iterations if before else 0),
             residual=self._last[0],

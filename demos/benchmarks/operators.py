@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: MIT
+"""Cost of an energy in singular values against a plain UFL one: assembled, and point by point.
+
+Run ``docker/enter python3 -m demos.benchmarks.operators``; one JSON line per row, and
+``results/operators.csv``. CPU time, variants interleaved in one process, medians; the ratios
+are to the plain neo-Hookean energy with the same flags, quadrature and insertion.
+"""
+
+import csv
+import json
+import sys
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem import petsc as fem_petsc
+
+import forms
+from forms import energies
+from forms.operators.lowering import compiled
+
+OUTPUT = Path("results")
+MU, LMBDA = 1.0, 2.5
+
+
+def median_times(variants, repeats):
+    """CPU seconds of each variant, interleaved."""
+    times = {name: [] for name in variants}
+    for _ in range(repeats):
+        for name, work in variants.items():
+            start = time.process_time()
+            work()
+            times[name].append(time.process_time() - start)
+    return {name: float(np.median(t)) for name, t in times.items()}
+
+
+class Stored:
+    """The usual way: P and dP/dF stored at quadrature points, by batched NumPy SVDs."""
+
+    def __init__(self, u, degree, v, du):
+        V = u.function_space
+        self.mesh = V.mesh
+        self.F = ufl.Identity(3) + ufl.grad(u)
+        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        self.operand = fem.Expression(self.F, points)
+        self.cells = np.arange(self.mesh.topology.index_map(3).size_local, dtype=np.int32)
+        self.P, self.A = (fem.Function(self._space(degree, s)) for s in ((3, 3), (3, 3, 3, 3)))
+        dx = ufl.dx(degree=degree)
+        i, j, k, n = ufl.indices(4)
+        change = ufl.as_tensor(self.A[i, j, k, n] * ufl.grad(du)[k, n], (i, j))
+        self.residual = compiled(ufl.inner(self.P, ufl.grad(v)) * dx)
+        self.tangent = compiled(ufl.inner(change, ufl.grad(v)) * dx)
+
+    def _space(self, degree, shape):
+        element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=degree)
+        return fem.functionspace(self.mesh, element)
+
+    def _stretches(self):
+        F = self.operand.eval(self.mesh, self.cells).reshape(-1, 3, 3)
+        U, s, Vt = np.linalg.svd(F)
+        turn_u, turn_v = np.linalg.det(U) < 0, np.linalg.det(Vt) < 0
+        U[turn_u, :, 2] *= -1
+        Vt[turn_v, 2] *= -1
+        s[turn_u ^ turn_v, 2] *= -1
+        return U, s, Vt
+
+    def _gradient(self, s):
+        others = np.stack([s[:, 1] * s[:, 2], s[:, 0] * s[:, 2], s[:, 0] * s[:, 1]], axis=1)
+        J = s.prod(axis=1)
+        return 2 * MU * (s - 1) + LMBDA * (J - 1)[:, None] * others, others, J
+
+    def update_residual(self):
+        """P of fixed corotated at every point."""
+        U, s, Vt = self._stretches()
+        g = self._gradient(s)[0]
+        self.P.x.array[: 9 * len(s)] = ((U * g[:, None]) @ Vt).ravel()
+
+    def update_tangent(self):
+        """dP/dF of fixed corotated at every point, by the blocks A and B_ij."""
+        U, s, Vt = self._stretches()
+        g, others, J = self._gradient(s)
+        M = np.zeros((len(s), 3, 3, 3, 3))
+        for a in range(3):
+            for b in range(3):
+                M[:, a, a, b, b] = LMBDA * others[:, a] * others[:, b]
+                if a == b:
+                    M[:, a, a, a, a] += 2 * MU
+                    continue
+                k = 3 - a - b
+                M[:, a, a, b, b] += LMBDA * (J - 1) * s[:, k]
+                same = 2 * MU - LMBDA * (J - 1) * s[:, k]
+                other = (g[:, a] + g[:, b]) / (s[:, a] + s[:, b])
+                M[:, a, b, a, b] = (same + other) / 2
+                M[:, a, b, b, a] = (same - other) / 2
+        W = np.einsum("nia,nbj->nijab", U, Vt).reshape(-1, 9, 9)
+        H = W @ M.reshape(-1, 9, 9) @ W.swapaxes(1, 2)
+        self.A.x.array[: 81 * len(s)] = H.ravel()
+
+
+def cases(order, degree, n):
+    """Residual and tangent of one box for every way, as functions without arguments."""
+    box = mesh.create_box(MPI.COMM_SELF, [[0, 0, 0], [1, 1, 1]], [n] * 3)
+    u = forms.displacement(box, degree=order)
+    u.interpolate(
+        lambda x: 0.1 * np.array([np.sin(3 * x[0]) * x[1], x[1] * x[2], np.cos(2 * x[2]) * x[0]])
+    )
+    F = forms.deformation_gradient(u)
+    dx = ufl.dx(degree=degree)
+    systems = {
+        "neo_hookean, plain UFL": forms.system(energies.neo_hookean(F, MU, LMBDA) * dx, u),
+        "fixed_corotated": forms.system(energies.fixed_corotated(F, MU, LMBDA) * dx, u),
+    }
+    v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
+    stored = Stored(u, degree, v, du)
+    vector = systems["fixed_corotated"].create_vector()
+    A = systems["fixed_corotated"].create_matrix()
+    csr = fem.create_matrix(systems["fixed_corotated"]._tangent)
+    residuals, aij, fast = {}, {}, {}
+
+    def into_vector(form, before=None):
+        def work():
+            if before:
+                before()
+            with vector.localForm() as local:
+                local.set(0)
+            fem_petsc.assemble_vector(vector, form)
+
+        return work
+
+    def into_aij(form, before=None):
+        def work():
+            if before:
+                before()
+            A.zeroEntries()
+            fem_petsc.assemble_matrix(A, form)
+            A.assemble()
+
+        return work
+
+    def into_csr(form, before=None):
+        def work():
+            if before:
+                before()
+            csr.set_value(0)
+            fem.assemble_matrix(csr, form)
+
+        return work
+
+    tangents = {}
+    for name, system in systems.items():
+        residuals[name] = into_vector(system._residual)
+        tangents[name] = (system._tangent, None)
+        tangents[name + ", projected"] = (compiled(system._tangent_form, project=True), None)
+    residuals["fixed_corotated, stored, NumPy"] = into_vector(
+        stored.residual, stored.update_residual
+    )
+    tangents["fixed_corotated, stored, NumPy"] = (stored.tangent, stored.update_tangent)
+    for name, (form, before) in tangents.items():
+        aij[name], fast[name] = into_aij(form, before), into_csr(form, before)
+    cells = box.topology.index_map(3).size_local
+    return cells, {"residual": residuals, "tangent, AIJ": aij, "tangent, CSR": fast}
+
+
+def points(n):
+    """Microseconds per point of the compiled kernels at random deformed states."""
+    F = np.eye(3) + 0.1 * np.random.default_rng(0).normal(size=(n, 3, 3))
+    evaluate = energies.fixed_corotated._evaluate
+    variants = {
+        "P": lambda: evaluate(F, (MU, LMBDA), {}, (1,), False),
+        "P and dP/dF": lambda: evaluate(F, (MU, LMBDA), {}, (1, 2), False),
+        "P and dP/dF, projected": lambda: evaluate(F, (MU, LMBDA), {}, (1, 2), True),
+    }
+    return {name: 1e6 * t / n for name, t in median_times(variants, 7).items()}
+
+
+def main(small=False):
+    """Measure, print and write the table."""
+    repeats = 1 if small else 7
+    rows = []
+    sizes = {(1, 1): 3 if small else 26, (2, 2): 2 if small else 13}
+    for (order, degree), n in sizes.items():
+        cells, kinds = cases(order, degree, n)
+        for kind, variants in kinds.items():
+            times = median_times(variants, repeats)
+            base = times["neo_hookean, plain UFL"]
+            for name, t in times.items():
+                row = {
+                    "element": f"P{order}",
+                    "quadrature degree": degree,
+                    "what": kind,
+                    "energy": name,
+                    "us per cell": round(1e6 * t / cells, 3),
+                    "ratio": round(t / base, 2),
+                }
+                rows.append(row)
+                print(json.dumps(row), flush=True)
+    for name, t in points(1_000 if small else 200_000).items():
+        row = {"what": f"point kernel, {name}", "energy": "fixed_corotated"}
+        row |= {"us per point": round(t, 3)}
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    OUTPUT.mkdir(exist_ok=True)
+    with (OUTPUT / "operators.csv").open("w", newline="") as file:
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+    return rows
+
+
+if __name__ == "__main__":
+    main(small="--small" in sys.argv)

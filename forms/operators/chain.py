@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Chain rule through what UFL cannot differentiate: coefficients and functions of the unknown.
+
+A :class:`Dependent` coefficient knows its own derivative; a :class:`Pointwise` function is computed
+outside UFL and stands in an expression until :func:`expanded` puts its coefficients there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import ufl
+from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms.map_integrands import map_integrand_dags
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+from ufl.corealg.traversal import unique_pre_traversal
+
+Expr = Any  # UFL ships no types
+
+
+@runtime_checkable
+class Dependent(Protocol):
+    """A coefficient that is a function of the unknown and knows its own derivative.
+
+    ``derivative`` differentiates through it: in direction du it moves by ``direction(du)``.
+    Before every assembly ``update()`` brings its values up to date.
+    """
+
+    def direction(self, unknown: Any, du: Expr) -> Expr:
+        """Change of the coefficient when the unknown moves by du."""
+
+    def update(self) -> None:
+        """Recompute the coefficient from the unknown's present values; collective."""
+
+
+class Pointwise(ufl.classes.MathFunction):
+    """A scalar function of one packed UFL vector, evaluated point by point outside UFL.
+
+    UFL treats it as an unknown function of its operand: it finds the coefficients inside, replaces
+    them, and stops with a sentence where it would have to differentiate or compile it.
+    """
+
+    def __init__(self, operand: Expr) -> None:
+        ufl.classes.Operator.__init__(self, (operand,))
+        self._name = "psi_hat"
+
+    def _ufl_expr_reconstruct_(self, operand: Expr) -> Pointwise:
+        return type(self)(operand)
+
+    def derivative(self) -> Expr:
+        """Refuse UFL's own differentiation, which asks here for d psi_hat / d operand."""
+        raise ValueError(
+            "an energy in singular values is differentiated by forms.derivative, forms.residual, "
+            "forms.tangent and forms.stress, not by ufl.derivative or ufl.diff."
+        )
+
+    @property
+    def value(self) -> Expr:
+        """Coefficient that stands for the function's value."""
+        raise NotImplementedError
+
+
+_PENDING = (
+    ufl.classes.CoefficientDerivative,
+    ufl.classes.VariableDerivative,
+    ufl.classes.CoordinateDerivative,
+)
+
+
+class _Expansion(MultiFunction):
+    """Replace pointwise functions, innermost first, by their values."""
+
+    def expr(self, o: Expr, *operands: Expr) -> Expr:
+        return self.reuse_if_untouched(o, *operands)
+
+    def terminal(self, o: Expr) -> Expr:
+        return o
+
+    def math_function(self, o: Expr, operand: Expr) -> Expr:
+        o = self.reuse_if_untouched(o, operand)
+        return o.value if isinstance(o, Pointwise) else o
+
+
+def contains(expression: Expr, kinds: Any) -> bool:
+    """Whether a form or expression has a node of one of the given UFL classes."""
+    parts = (
+        [i.integrand() for i in expression.integrals()]
+        if isinstance(expression, ufl.Form)
+        else [ufl.as_ufl(expression)]
+    )
+    return any(isinstance(e, kinds) for p in parts for e in unique_pre_traversal(p))
+
+
+def expanded(expression: Expr) -> Expr:
+    """A form or expression with every pointwise function replaced by the coefficient of its value.
+
+    Derivatives by UFL that wait inside are taken first, so that they meet the function, which
+    refuses them, and not its coefficient, whose derivative they would take for 0.
+    """
+    if not contains(expression, Pointwise):
+        return expression
+    if contains(expression, _PENDING):
+        expression = expand_derivatives(expression)
+    if isinstance(expression, ufl.Form):
+        return map_integrand_dags(_Expansion(), expression)
+    return map_expr_dag(_Expansion(), ufl.as_ufl(expression))
+
+
+def dependents(form: ufl.Form | Expr) -> list[Dependent]:
+    """Coefficients of a form or expression that depend on the unknown, in their order."""
+    return [c for c in extract_coefficients(form) if isinstance(c, Dependent)]
+
+
+def update_dependents(integrand: ufl.Form | Expr) -> None:
+    """Bring the coefficients of a form or an expression that depend on the unknown up to date."""
+    for c in dependents(integrand):
+        c.update()
+
+
+def rate(expression: Expr, u: Any, du: Expr) -> Expr:
+    """Gateaux derivative of an expression or form at u in direction du, through its dependents.
+
+    With coefficients c_k of u in it, it is the derivative in (u, c_1, ..) in the directions
+    (du, c_1'[du], ..). Derivative nodes inside are left for UFL to expand.
+    """
+    expression = expanded(expression)
+    chained = dependents(expression)
+    if not chained:
+        return ufl.derivative(expression, u, du)
+    # A derivative node inside a direction is not lowered, so expand it first.
+    moved = [expand_derivatives(c.direction(u, du)) for c in chained]
+    return ufl.derivative(expression, (u, *chained), (du, *moved))
+
+
+def diff(expression: Expr, variable: Expr) -> Expr:
+    """D expression / d variable, as ``ufl.diff``, also through pointwise functions of the variable.
+
+    Args:
+        expression: UFL expression of any shape.
+        variable: A ``ufl.variable``, as the deformation gradient.
+
+    Returns:
+        Derivative, shape of the expression followed by that of the variable.
+    """
+    expression = expanded(expression)
+    total = ufl.diff(expression, variable)
+    for jet in [c for c in extract_coefficients(expression) if hasattr(c, "slope")]:
+        stand_in = ufl.variable(jet)
+        outer = ufl.diff(ufl.replace(expand_derivatives(expression), {jet: stand_in}), stand_in)
+        inner = jet.slope(variable)
+        shape = len(jet.ufl_shape)
+        head = ufl.indices(len(outer.ufl_shape) - shape)
+        mid, tail = ufl.indices(shape), ufl.indices(len(variable.ufl_shape))
+        product = _entry(outer, head + mid) * _entry(inner, mid + tail)
+        total += ufl.as_tensor(product, head + tail) if head + tail else product
+    return total
+
+
+def _entry(tensor: Expr, indices: tuple) -> Expr:
+    return tensor[indices] if indices else tensor

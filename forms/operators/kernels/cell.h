@@ -1,0 +1,123 @@
+/* SPDX-License-Identifier: MIT */
+/* Cell and facet kernels: operand at the points -> operators point by point -> FFCx's kernel of the form.
+
+   DOLFINx calls kernel_k for the k-th integral of a form. The form's first constant is the number of its
+   first integral in the table below, so that nothing but a small whole number travels through DOLFINx;
+   the table's entries hold pointers to the kernels that FFCx compiled. Nothing is kept between cells. */
+#include <stdlib.h>
+
+#include "point.h"
+#include "projection.h"
+
+enum { MAX_OPERATORS = 8, MAX_PIECES = 16 };
+
+typedef struct {
+  operator_t op;
+  tabulate_t operand;    /* FFCx expression: operand and parameters at the points */
+  int points;
+  int constants;         /* where the operand's constants start in c */
+  int levels[3];         /* where value, first and second derivative go in w, -1 if not wanted */
+  int coefficients;      /* numbers that the operand's kernel reads */
+  int pieces;
+  int piece[MAX_PIECES][3]; /* destination in the operand's coefficients, source in w, length */
+} jet_t;
+
+typedef struct {
+  tabulate_t form;       /* FFCx kernel; its coefficients: those DOLFINx packs, then the jets */
+  int packed;            /* numbers of the former that it reads */
+  int coefficients;      /* numbers of both */
+  int jets;
+  int project_points;    /* second derivatives made positive semi-definite */
+  int project_rows;      /* > 0: so many rows of a cell matrix to be made positive semi-definite */
+  jet_t jet[MAX_OPERATORS];
+} integral_t;
+
+static integral_t **table = 0;
+static long table_size = 0;
+
+/* Copy integrals into the table; the number of the first, or -1 without memory. */
+long integrals_add(const integral_t *integrals, int count)
+{
+  integral_t **larger = realloc(table, (table_size + count) * sizeof *table);
+  if (!larger) return -1;
+  table = larger;
+  for (int k = 0; k < count; k++) {
+    table[table_size + k] = malloc(sizeof(integral_t));
+    if (!table[table_size + k]) return -1;
+    *table[table_size + k] = integrals[k];
+  }
+  table_size += count;
+  return table_size - count;
+}
+
+/* Numbers are never used twice: a form used after its release finds nothing and gives NaN. */
+void integrals_release(long first, int count)
+{
+  for (int k = 0; k < count; k++) {
+    free(table[first + k]);
+    table[first + k] = 0;
+  }
+}
+
+static void fill(const jet_t *j, int project, double *w, const double *packed, const double *c, const double *x,
+                 const int *entity, const uint8_t *perm)
+{
+  const int operand = j->op.rows * j->op.cols, width = operand + j->op.parameters;
+  const int size[3] = {1, operand, operand * operand};
+  double X[width * j->points], local[j->coefficients + 1];
+  for (int k = 0; k < j->pieces; k++)
+    memcpy(local + j->piece[k][0], packed + j->piece[k][1], j->piece[k][2] * sizeof(double));
+  memset(X, 0, sizeof X); /* FFCx kernels add */
+  j->operand(X, local, c + j->constants, x, entity, perm VARIFORM_CUSTOM);
+  for (int k = 0; k < j->points; k++) {
+    double *out[3];
+    for (int l = 0; l < 3; l++) out[l] = j->levels[l] < 0 ? 0 : w + j->levels[l] + k * size[l];
+    /* The gradient of a linear simplex is the same at all points, bit by bit. */
+    if (k && !memcmp(X + k * width, X + (k - 1) * width, width * sizeof(double))) {
+      for (int l = 0; l < 3; l++)
+        if (out[l]) memcpy(out[l], out[l] - size[l], size[l] * sizeof(double));
+    } else
+      point(&j->op, X + k * width, project, out[0], out[1], out[2]);
+  }
+}
+
+static void integrate(int k, double *A, const double *w, const double *c, const double *x, const int *entity,
+                      const uint8_t *perm)
+{
+  const long number = (long)c[0] + k;
+  const integral_t *t = number >= 0 && number < table_size ? table[number] : 0;
+  if (!t) {
+    A[0] = NAN;
+    return;
+  }
+  double all[t->coefficients + 1];
+  memcpy(all, w, t->packed * sizeof(double));
+  for (int j = 0; j < t->jets; j++) fill(&t->jet[j], t->project_points, all, w, c, x, entity, perm);
+  if (t->project_rows) {
+    const int n = t->project_rows;
+    double K[n * n];
+    memset(K, 0, sizeof K);
+    t->form(K, all, c + 1, x, entity, perm VARIFORM_CUSTOM);
+    project_matrix(n, K);
+    for (int i = 0; i < n * n; i++) A[i] += K[i];
+  } else
+    t->form(A, all, c + 1, x, entity, perm VARIFORM_CUSTOM);
+}
+
+#ifdef VARIFORM_CUSTOM_DATA
+#define KERNEL_END , void *custom
+#else
+#define KERNEL_END
+#endif
+/* k: two octal digits, so that 0##k is the number. */
+#define KERNEL(k)                                                                                   \
+  void kernel_##k(double *A, const double *w, const double *c, const double *x, const int *entity, \
+                  const uint8_t *perm KERNEL_END)                                                   \
+  {                                                                                                 \
+    integrate(0##k, A, w, c, x, entity, perm);                                                      \
+  }
+#define KERNELS(a)                                                                                  \
+  KERNEL(a##0) KERNEL(a##1) KERNEL(a##2) KERNEL(a##3)                                               \
+  KERNEL(a##4) KERNEL(a##5) KERNEL(a##6) KERNEL(a##7)
+
+KERNELS(0) KERNELS(1) KERNELS(2) KERNELS(3) KERNELS(4) KERNELS(5) KERNELS(6) KERNELS(7)

@@ -1,0 +1,202 @@
+/* SPDX-License-Identifier: MIT */
+/* Energy, stress and tangent of an isotropic energy psi_hat(s), s the operand's singular values.
+
+   With F = U diag(s) V^T: P = U diag(psi_i) V^T, and dP/dF is, in the basis u_a v_b^T, the Hessian
+   of psi_hat on the entries (aa) and D/2 [[1, 1], [1, 1]] + T/2 [[1, -1], [-1, 1]] on (ab, ba),
+   with the quotients D, T of quotients.h. */
+#ifndef VARIFORM_POINT_H
+#define VARIFORM_POINT_H
+
+#include "quotients.h"
+#include "svd.h"
+
+#define PARAMETERS 64 /* at most; who builds an operator_t has to refuse more */
+
+/* dP/dF in the basis u_a v_b^T: `stretch` on (aa, bb), `same` on (ab, ab), `mixed` on (ab, ba). */
+typedef struct {
+  double stretch[3][3], same[3][3], mixed[3][3];
+} blocks_t;
+
+/* Whether a symmetric 3x3 matrix is positive definite beyond doubt, by its Cholesky pivots. */
+static inline int is_definite(double A[3][3], int n)
+{
+  const double least = 1e-12 * (fabs(A[0][0]) + fabs(A[1][1]));
+  const double l1 = A[1][0] / A[0][0], p1 = A[1][1] - l1 * A[1][0];
+  if (!(A[0][0] > least && p1 > least) || n == 2)
+    return A[0][0] > least && p1 > least;
+  const double b = A[2][1] - l1 * A[2][0];
+  return A[2][2] - A[2][0] / A[0][0] * A[2][0] - b * b / p1 > least + 1e-12 * fabs(A[2][2]);
+}
+
+/* Raise the negative eigenvalues of a symmetric n x n matrix to 0 (cyclic Jacobi), n = 2 or 3. */
+static void clamp_eigenvalues(double A[3][3], int n)
+{
+  if (is_definite(A, n))
+    return;
+  double B[3][3], Q[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  for (int i = 0; i < n; i++)
+    for (int j = 0; j < n; j++)
+      B[i][j] = A[i][j];
+  for (int sweep = 0; sweep < SWEEPS; sweep++) {
+    int again = 0;
+    for (int p = 0; p < n - 1; p++)
+      for (int q = p + 1; q < n; q++) {
+        if (!(fabs(B[p][q]) > 0.1 * DBL_EPSILON * (fabs(B[p][p]) + fabs(B[q][q]))))
+          continue;
+        const double z = (B[q][q] - B[p][p]) / (2 * B[p][q]);
+        const double t = (z < 0 ? -1 : 1) / (fabs(z) + sqrt(1 + z * z));
+        const double c = 1 / sqrt(1 + t * t), s = c * t;
+        for (int k = 0; k < n; k++) {
+          const double x = B[k][p], y = B[k][q];
+          B[k][p] = c * x - s * y, B[k][q] = s * x + c * y;
+        }
+        for (int k = 0; k < n; k++) {
+          const double x = B[p][k], y = B[q][k], u = Q[k][p], v = Q[k][q];
+          B[p][k] = c * x - s * y, B[q][k] = s * x + c * y;
+          Q[k][p] = c * u - s * v, Q[k][q] = s * u + c * v;
+        }
+        again = 1;
+      }
+    if (!again)
+      break;
+  }
+  for (int i = 0; i < n; i++)
+    for (int j = 0; j < n; j++) {
+      A[i][j] = 0;
+      for (int k = 0; k < n; k++)
+        A[i][j] += Q[i][k] * (B[k][k] > 0 ? B[k][k] : 0) * Q[j][k];
+    }
+}
+
+/* The blocks at s = c[0..n-1]; returns whether they are finite. */
+static int fill_blocks(const operator_t *op, double *c, const double jet[JET], int project,
+                       blocks_t *M)
+{
+  const int n = op->stretches, sheet = op->rows > op->cols;
+  double size = 0, smax = 0;
+  int finite = 1;
+  for (int i = 0; i < n; i++) {
+    smax = fabs(c[i]) > smax ? fabs(c[i]) : smax;
+    for (int j = 0; j < n; j++) {
+      M->stretch[i][j] = hessian(op, jet, i, j);
+      size = fabs(M->stretch[i][j]) > size ? fabs(M->stretch[i][j]) : size;
+    }
+  }
+  /* 1e-6 of |F| for stretches up to 1, and 1e-6 above: never more than the documents' 1e-6. */
+  const double unit = smax > 1 ? 1 : smax;
+  const double least = op->clamp * (unit > op->clamp ? unit : op->clamp);
+  for (int i = 0; i < 2; i++)
+    for (int j = i + 1; j < 3; j++) {
+      if (j >= n && !sheet)
+        continue;
+      /* A sheet's normal has s = psi_3 = 0, so that D = T = psi_i / s_i. */
+      const int k = j < n ? j : i;
+      const double sum = c[i] + (j < n ? c[j] : 0);
+      const double rise = jet[1 + i] + (j < n ? jet[1 + j] : 0);
+      const double bounded = fabs(sum) >= least ? sum : sum < 0 ? -least : least;
+      double T = op->smooth ? quotient(op, c, jet, size, i, k, -1) : rise / bounded;
+      double D = j < n ? quotient(op, c, jet, size, i, j, 1) : T;
+      finite &= fabs(D) <= DBL_MAX && fabs(T) <= DBL_MAX;
+      D = project && D < 0 ? 0 : D;
+      T = project && T < 0 ? 0 : T;
+      M->same[i][j] = M->same[j][i] = 0.5 * (D + T);
+      M->mixed[i][j] = M->mixed[j][i] = 0.5 * (D - T);
+    }
+  if (project && finite)
+    clamp_eigenvalues(M->stretch, n);
+  return finite;
+}
+
+/* A[ij][kl] = sum U_ia V_jb M[ab][cd] U_kc V_ld; for constant rows, cols: the loops unroll. */
+static inline void rotate_blocks(int rows, int cols, const double U[9], const double V[9],
+                                 const blocks_t *M, double *A)
+{
+  double Q[3][3][9], R[3][3][9]; /* u_a v_b^T, and M times it */
+  const int n = rows * cols;
+  for (int a = 0; a < rows; a++)
+    for (int b = 0; b < cols; b++)
+      for (int i = 0; i < rows; i++)
+        for (int j = 0; j < cols; j++)
+          Q[a][b][cols * i + j] = U[3 * i + a] * V[3 * j + b];
+  for (int a = 0; a < rows; a++)
+    for (int b = 0; b < cols; b++)
+      for (int k = 0; k < n; k++) {
+        if (a != b)
+          R[a][b][k] = M->same[a][b] * Q[a][b][k] + (a < cols ? M->mixed[a][b] * Q[b][a][k] : 0);
+        else {
+          R[a][b][k] = M->stretch[a][0] * Q[0][0][k] + M->stretch[a][1] * Q[1][1][k];
+          if (cols == 3)
+            R[a][b][k] += M->stretch[a][2] * Q[2][2][k];
+        }
+      }
+  for (int i = 0; i < rows; i++) { /* U first, then V: 4 n^2 products instead of 9 n^2 */
+    double S[3][9];
+    for (int b = 0; b < cols; b++)
+      for (int k = 0; k < n; k++) {
+        S[b][k] = U[3 * i] * R[0][b][k] + U[3 * i + 1] * R[1][b][k];
+        if (rows == 3)
+          S[b][k] += U[3 * i + 2] * R[2][b][k];
+      }
+    for (int j = 0; j < cols; j++)
+      for (int k = 0; k < n; k++) {
+        double sum = V[3 * j] * S[0][k] + V[3 * j + 1] * S[1][k];
+        if (cols == 3)
+          sum += V[3 * j + 2] * S[2][k];
+        A[n * (cols * i + j) + k] = sum;
+      }
+  }
+}
+
+static inline void set_all(double *x, int n, double value)
+{
+  for (int i = 0; x && i < n; i++)
+    x[i] = value;
+}
+
+/* W (1), P (rows*cols) and A ((rows*cols)^2, A[ij][kl] = dP_ij/dF_kl) at X = operand, parameters;
+   each may be NULL. project: make A positive semi-definite.
+
+   An operand that is not finite gives NaN. Where the energy or a derivative of it is not finite (a
+   logarithm of a stretch <= 0, an overflow), the energy counts as infinite: W = P = A = inf. */
+static void point(const operator_t *op, const double *X, int project, double *W, double *P,
+                  double *A)
+{
+  const int rows = op->rows, cols = op->cols, n = rows * cols;
+  double U[9], s[3], V[9], c[3 + PARAMETERS], jet[JET];
+  blocks_t M;
+  if (!finite_array(X, n) || op->parameters > PARAMETERS) {
+    set_all(W, 1, NAN), set_all(P, n, NAN), set_all(A, n * n, NAN);
+    return;
+  }
+  svd(rows, cols, op->plane, op->improper, X, U, s, V);
+  for (int i = 0; i < op->stretches; i++)
+    c[i] = s[i];
+  for (int i = 0; i < op->parameters; i++)
+    c[op->stretches + i] = X[n + i];
+  evaluate_psi(op, c, jet);
+  int finite = finite_array(jet, JET);
+  if (finite && P)
+    for (int i = 0; i < rows; i++)
+      for (int j = 0; j < cols; j++) {
+        double sum = U[3 * i] * jet[1] * V[3 * j] + U[3 * i + 1] * jet[2] * V[3 * j + 1];
+        if (cols == 3)
+          sum += U[3 * i + 2] * jet[3] * V[3 * j + 2];
+        P[cols * i + j] = sum;
+      }
+  if (finite && A) {
+    finite = fill_blocks(op, c, jet, project, &M);
+    if (rows == 2)
+      rotate_blocks(2, 2, U, V, &M, A);
+    else if (cols == 2)
+      rotate_blocks(3, 2, U, V, &M, A);
+    else
+      rotate_blocks(3, 3, U, V, &M, A);
+    finite = finite && finite_array(A, n * n);
+  }
+  if (finite && W)
+    *W = jet[0];
+  if (!finite)
+    set_all(W, 1, INFINITY), set_all(P, n, INFINITY), set_all(A, n * n, INFINITY);
+}
+
+#endif

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""The compiled point and cell kernels: built once per machine, cached beside DOLFINx's own code."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shlex
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import cffi
+
+from .. import _dolfinx, _jit
+from .jets import Kind
+
+SOURCE = Path(__file__).parent / "kernels"
+KERNELS = 64  # integrals with operators in one form
+
+_TABULATE = (
+    "typedef void (*tabulate_t)(double *, const double *, const double *, const double *, "
+    "const int *, const uint8_t *%s);"
+)
+_DECLARATIONS = """
+typedef struct {
+  tabulate_t psi; int rows, cols, stretches, plane, improper, smooth, parameters; double clamp;
+} operator_t;
+typedef struct {
+  operator_t op; tabulate_t operand; int points; int constants; int levels[3]; int coefficients;
+  int pieces; int piece[16][3];
+} jet_t;
+typedef struct {
+  tabulate_t form; int packed; int coefficients; int jets; int project_points; int project_rows;
+  jet_t jet[8];
+} integral_t;
+long integrals_add(const integral_t *integrals, int count);
+void integrals_release(long first, int count);
+void points(const operator_t *op, long n, const double *X, int project, double *W, double *P,
+            double *A);
+void singular_values(int rows, int cols, int plane, int improper, long n, const double *F,
+                     double *U, double *s, double *V);
+void projection_set(void *factorize, void *eigen);
+"""
+MAX_OPERATORS, MAX_PIECES = 8, 16
+
+
+def library(comm: MPI.Comm) -> tuple[Any, Any]:
+    """The loaded library and its cffi interface. Collective.
+
+    Built on rank 0, in a folder of its own, and moved into the cache in one step, so that programs
+    that start at once never see half a file. The name holds the source, the flags (with the CPU)
+    and the release of DOLFINx.
+
+    Raises:
+        RuntimeError: the compiler is missing or failed; alike on all ranks.
+    """
+    flags = tuple(_jit.flags(comm))
+    path = _path(flags)
+
+    def build() -> None:
+        if comm.rank == 0 and not path.exists():
+            _build(path, flags)
+
+    _jit.alike(comm, build, "the operators' kernels")
+    return _jit.alike(comm, lambda: _load(path), "the operators' kernels")
+
+
+def _path(flags: tuple[str, ...]) -> Path:
+    digest = hashlib.sha256()
+    for source in sorted(SOURCE.iterdir()):
+        digest.update(source.read_bytes())
+    digest.update(repr((flags, _definitions(), _jit.compiler())).encode())
+    return _jit.folder() / f"libvariform_{digest.hexdigest()[:24]}.so"
+
+
+def _definitions() -> list[str]:
+    return ["-DVARIFORM_CUSTOM_DATA"] if _dolfinx.CUSTOM_DATA else []
+
+
+def _build(path: Path, flags: tuple[str, ...]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix="variform-") as folder:
+        made = Path(folder) / path.name
+        command = [*shlex.split(_jit.compiler()), "-std=c17", "-fPIC", "-shared", *flags]
+        command += [*_definitions(), "-o", str(made), str(SOURCE / "library.c"), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError((done.stderr or done.stdout).strip().splitlines()[0])
+        os.replace(made, path)
+
+
+@cache
+def _load(path: Path) -> tuple[Any, Any]:
+    ffi = cffi.FFI()
+    ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
+    ffi.cdef(_DECLARATIONS)
+    end = ", void *" if _dolfinx.CUSTOM_DATA else ""
+    arguments = (
+        "double *, const double *, const double *, const double *, const int *, const uint8_t *"
+    )
+    ffi.cdef("".join(f"void kernel_{k:02o}({arguments}{end});" for k in range(KERNELS)))
+    loaded: Any = ffi.dlopen(str(path))
+    lapack = ctypes.CDLL(PETSc.__file__)  # finds what PETSc is linked to, its LAPACK included
+    functions = (lapack.dpotrf_, lapack.dsyev_)
+    addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in functions]
+    loaded.projection_set(*(ffi.cast("void *", a) for a in addresses))
+    return loaded, ffi
+
+
+def describe(ffi: Any, record: Any, kind: Kind, psi: Any) -> None:
+    """Fill the C structure operator_t."""
+    record.psi = pointer(ffi, psi.tabulate_tensor_float64)
+    record.rows, record.cols = kind.shape
+    record.stretches = kind.function.n
+    record.plane, record.improper, record.smooth = kind.plane, kind.improper, kind.smooth
+    record.parameters = len(kind.function.parameters)
+    record.clamp = kind.clamp
+
+
+def pointer(ffi: Any, kernel: Any) -> Any:
+    """A kernel of another cffi module as one of ours."""
+    return ffi.cast("tabulate_t", int(ffi.cast("uintptr_t", kernel)))

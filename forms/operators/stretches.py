@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: MIT
+"""An energy psi_hat of the singular values as a symbolic function: its jet, symmetries, parameters.
+
+psi_hat(s_1, .., s_n) is written in UFL on a stand-in for the singular values; every quantity of the
+mesh in it (Constants, Functions) becomes a numbered parameter, so that the function compiled from
+it knows no mesh: jet(s, p) = (psi_hat, its gradient, the upper triangle of its Hessian).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from itertools import permutations
+from typing import Any
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
+
+from .. import _jit
+
+Expr = Any  # UFL ships no types
+
+# The jet is compiled without a mesh; UFL wants constants to live on one.
+NOWHERE = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
+
+MAX_PARAMETERS = 64  # as in kernels/point.h
+_SAMPLES = 4
+_TOLERANCE = 1e-9  # of the checks of symmetry: far above rounding, far below a different function
+
+
+class StretchFunction:
+    """psi_hat(s, p) of n singular values and of parameters, with its derivatives by UFL.
+
+    Args:
+        psi_hat: Function of n UFL scalars that returns a UFL scalar [J/m^3].
+        n: Number of singular values, 2 or 3.
+        name: Name for messages.
+
+    Attributes:
+        parameters: UFL scalars of the mesh that psi_hat contains, in order.
+        jet: UFL vector of psi_hat, its gradient (n) and Hessian (row-wise upper triangle) in terms
+            of one constant vector (s_1, .., s_n, parameters).
+        smooth: Whether psi_hat is unchanged when the signs of two singular values flip, as it is
+            when the energy is smooth in F: then (psi_i + psi_j)/(s_i + s_j) has a limit.
+        even: Whether it is unchanged when one sign flips: the same for a 3x2 gradient.
+
+    Raises:
+        ValueError: psi_hat returns no scalar, does not depend on a singular value, is not finite
+            near rest, or is not symmetric in the singular values.
+    """
+
+    def __init__(self, psi_hat: Callable[..., Expr], n: int, name: str) -> None:
+        self.n, self.name = n, name
+        self._compiled: dict[int, tuple[Any, Any]] = {}
+        probe = ufl.Constant(NOWHERE, shape=(n,))
+        psi = expand_derivatives(ufl.as_ufl(psi_hat(*(probe[i] for i in range(n)))))
+        if psi.ufl_shape != () or psi.ufl_free_indices:
+            raise ValueError(f"{name} must return a scalar, got the shape {psi.ufl_shape}.")
+        leaves = _leaves(psi, probe)
+        self.parameters = [c for leaf in leaves for c in _components(leaf)]
+        if len(self.parameters) > MAX_PARAMETERS:
+            raise ValueError(
+                f"{name} may have {MAX_PARAMETERS} parameters, got {len(self.parameters)}."
+            )
+        self._constants = ufl.Constant(NOWHERE, shape=(n + len(self.parameters),))
+        c = self._constants
+        s = ufl.variable(ufl.as_vector([c[i] for i in range(n)]))
+        stand_ins: dict[Expr, Expr] = {probe: s}
+        start = n
+        for leaf in leaves:
+            size = int(np.prod(leaf.ufl_shape, dtype=int))
+            entries = np.array([c[start + k] for k in range(size)], dtype=object)
+            shaped = entries.reshape(leaf.ufl_shape).tolist() if leaf.ufl_shape else entries[0]
+            stand_ins[leaf] = ufl.as_tensor(shaped) if leaf.ufl_shape else shaped
+            start += size
+        self._psi = ufl.replace(psi, stand_ins)
+        g = ufl.diff(self._psi, s)
+        H = ufl.diff(g, s)
+        upper = [H[i, j] for i in range(n) for j in range(i, n)]
+        self.jet = ufl.as_vector([self._psi, *(g[i] for i in range(n)), *upper])
+        self._check_symmetry([v for leaf in leaves for v in _known_values(leaf)])
+        flips = [(i, j) for i in range(n) for j in range(i + 1, n)]
+        self.smooth = all(self._unchanged(_flip(*pair)) for pair in flips)
+        self.even = all(self._unchanged(_flip(i)) for i in range(n))
+
+    def __call__(self, s: NDArray[np.float64]) -> float:
+        """Value for the sampled parameters; NaN where psi_hat is not a real number."""
+        values = np.concatenate([s, self._sample])
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                value = self._psi((), mapping={self._constants: values})
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return np.nan
+        return float(value) if np.isreal(value) else np.nan
+
+    def compiled(self, comm: MPI.Comm) -> tuple[Any, Any]:
+        """FFCx's kernel of the jet and the module it lives in. Collective at the first call."""
+        key = comm.py2f()
+        if key not in self._compiled:
+            self._compiled[key] = _jit.compiled(comm, (self.jet, np.zeros((1, 1))))
+        return self._compiled[key]
+
+    def _states(self) -> NDArray[np.float64]:
+        return np.random.default_rng(2).uniform(0.8, 1.25, (_SAMPLES, self.n))
+
+    def _check_symmetry(self, known: list[float | None]) -> None:
+        states = self._states()
+        # Drawn parameters, because a Constant that is 0 now may hide a term; present values where
+        # psi_hat has none for the drawn ones.
+        drawn = np.random.default_rng(1).uniform(0.5, 1.5, len(known))
+        present = [d if v is None else v for v, d in zip(known, drawn, strict=True)]
+        for self._sample in (drawn, np.array(present)):
+            values = np.array([self(s) for s in states])
+            if np.all(np.isfinite(values)):
+                break
+        else:
+            bad = states[int(np.argmin(np.isfinite(values)))]
+            raise ValueError(
+                f"{self.name} must be finite near rest, got {self(bad)} at the singular values "
+                f"{np.round(bad, 3).tolist()}."
+            )
+        for s, value in zip(states, values, strict=True):
+            for order in permutations(range(self.n)):
+                other = self(np.take(s, order))
+                if not abs(other - value) <= _TOLERANCE * max(abs(value), abs(other), 1e-300):
+                    raise ValueError(
+                        f"{self.name} must not depend on the order of the singular values, got "
+                        f"{value:.6g} at {np.round(s, 3).tolist()} and {other:.6g} with them in "
+                        f"the order {[i + 1 for i in order]}: an isotropic energy is symmetric in "
+                        "them."
+                    )
+
+    def _unchanged(self, flip: Callable[[NDArray], NDArray]) -> bool:
+        pairs = [(self(s), self(flip(s))) for s in self._states()]
+        return all(abs(a - b) <= _TOLERANCE * max(abs(a), abs(b)) for a, b in pairs)
+
+
+def _flip(*which: int) -> Callable[[NDArray], NDArray]:
+    def flipped(s: NDArray) -> NDArray:
+        out = s.copy()
+        out[list(which)] *= -1
+        return out
+
+    return flipped
+
+
+def _leaves(psi: Expr, probe: Expr) -> list[Expr]:
+    """Quantities of the mesh in psi: terminals with values, and derivatives as a whole."""
+    found: dict[Expr, None] = {}
+    stack = [psi]
+    seen = set()
+    while stack:
+        e = stack.pop()
+        if id(e) in seen:
+            continue
+        seen.add(id(e))
+        if isinstance(e, ufl.classes.Derivative):
+            found[e] = None
+        elif e._ufl_is_terminal_:
+            number = (ufl.classes.ConstantValue, ufl.classes.MultiIndex, ufl.classes.Label)
+            if e is not probe and not isinstance(e, number):
+                found[e] = None
+        else:
+            stack.extend(reversed(e.ufl_operands))
+    return list(found)
+
+
+def _components(leaf: Expr) -> list[Expr]:
+    return [leaf[i] for i in np.ndindex(leaf.ufl_shape)] if leaf.ufl_shape else [leaf]
+
+
+def _known_values(leaf: Expr) -> list[float | None]:
+    """Values of a Constant, alike on all ranks; None for what varies in space."""
+    if isinstance(leaf, fem.Constant):
+        return [float(v) for v in np.asarray(leaf.value).ravel()]
+    return [None] * int(np.prod(leaf.ufl_shape, dtype=int))
