@@ -69,16 +69,16 @@ static void fill(const jet_t *j, int project, double *w, const double *packed, c
     memcpy(local + j->piece[k][0], packed + j->piece[k][1], j->piece[k][2] * sizeof(double));
   memset(X, 0, sizeof X); /* FFCx kernels add */
   j->operand(X, local, c + j->constants, x, entity, perm VARIFORM_CUSTOM);
-  for (int k = 0; k < j->points; k++) {
-    double *out[3];
-    for (int l = 0; l < 3; l++) out[l] = j->levels[l] < 0 ? 0 : w + j->levels[l] + k * size[l];
-    /* The gradient of a linear simplex is the same at all points, bit by bit. */
-    if (k && !memcmp(X + k * width, X + (k - 1) * width, width * sizeof(double))) {
-      for (int l = 0; l < 3; l++)
-        if (out[l]) memcpy(out[l], out[l] - size[l], size[l] * sizeof(double));
-    } else
-      point(&j->op, X + k * width, project, out[0], out[1], out[2]);
-  }
+  double *out[3];
+  for (int l = 0; l < 3; l++)
+    out[l] = j->levels[l] < 0 ? 0 : w + j->levels[l];
+  /* The gradient of a linear simplex is the same at all points, bit by bit. */
+  const int constant = !memcmp(X, X + width, (j->points - 1) * width * sizeof(double));
+  points_in_row(&j->op, constant ? 1 : j->points, X, project, out[0], out[1], out[2]);
+  for (int k = 1; constant && k < j->points; k++)
+    for (int l = 0; l < 3; l++)
+      if (out[l])
+        memcpy(out[l] + k * size[l], out[l], size[l] * sizeof(double));
 }
 
 static void integrate(int k, double *A, const double *w, const double *c, const double *x, const int *entity,

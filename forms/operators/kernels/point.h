@@ -7,6 +7,7 @@
 #ifndef VARIFORM_POINT_H
 #define VARIFORM_POINT_H
 
+#include "lanes.h"
 #include "quotients.h"
 #include "svd.h"
 
@@ -153,22 +154,17 @@ static inline void set_all(double *x, int n, double value)
     x[i] = value;
 }
 
-/* W (1), P (rows*cols) and A ((rows*cols)^2, A[ij][kl] = dP_ij/dF_kl) at X = operand, parameters;
-   each may be NULL. project: make A positive semi-definite.
-
-   An operand that is not finite gives NaN. Where the energy or a derivative of it is not finite (a
-   logarithm of a stretch <= 0, an overflow), the energy counts as infinite: W = P = A = inf. */
-static void point(const operator_t *op, const double *X, int project, double *W, double *P,
-                  double *A)
+/* point() with the singular values already known. */
+static void point_of(const operator_t *op, const double *X, const double U[9], const double s[3],
+                     const double V[9], int project, double *W, double *P, double *A)
 {
   const int rows = op->rows, cols = op->cols, n = rows * cols;
-  double U[9], s[3], V[9], c[3 + PARAMETERS], jet[JET];
+  double c[3 + PARAMETERS], jet[JET];
   blocks_t M;
   if (!finite_array(X, n) || op->parameters > PARAMETERS) {
     set_all(W, 1, NAN), set_all(P, n, NAN), set_all(A, n * n, NAN);
     return;
   }
-  svd(rows, cols, op->plane, op->improper, X, U, s, V);
   for (int i = 0; i < op->stretches; i++)
     c[i] = s[i];
   for (int i = 0; i < op->parameters; i++)
@@ -197,6 +193,39 @@ static void point(const operator_t *op, const double *X, int project, double *W,
     *W = jet[0];
   if (!finite)
     set_all(W, 1, INFINITY), set_all(P, n, INFINITY), set_all(A, n * n, INFINITY);
+}
+
+/* W (1), P (rows*cols) and A ((rows*cols)^2, A[ij][kl] = dP_ij/dF_kl) at X = operand, parameters;
+   each may be NULL. project: make A positive semi-definite.
+
+   An operand that is not finite gives NaN. Where the energy or a derivative of it is not finite (a
+   logarithm of a stretch <= 0, an overflow), the energy counts as infinite: W = P = A = inf. */
+static void point(const operator_t *op, const double *X, int project, double *W, double *P,
+                  double *A)
+{
+  double U[9], s[3], V[9];
+  svd(op->rows, op->cols, op->plane, op->improper, X, U, s, V);
+  point_of(op, X, U, s, V, project, W, P, A);
+}
+
+/* point() at `count` rows of X, whose outputs follow each other in W, P and A. */
+static void points_in_row(const operator_t *op, long count, const double *X, int project, double *W,
+                          double *P, double *A)
+{
+  const long n = op->rows * op->cols, stride = n + op->parameters;
+  long k = 0;
+#ifdef LANES
+  double U[LANES][9], s[LANES][3], V[LANES][9];
+  while (n == 9 && !op->plane && count - k > 1) {
+    const int together = count - k < LANES ? (int)(count - k) : LANES;
+    svd_lanes(together, stride, op->improper, X + stride * k, U, s, V);
+    for (int l = 0; l < together; l++, k++)
+      point_of(op, X + stride * k, U[l], s[l], V[l], project, W ? W + k : 0, P ? P + n * k : 0,
+               A ? A + n * n * k : 0);
+  }
+#endif
+  for (; k < count; k++)
+    point(op, X + stride * k, project, W ? W + k : 0, P ? P + n * k : 0, A ? A + n * n * k : 0);
 }
 
 #endif

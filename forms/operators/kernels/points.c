@@ -6,10 +6,7 @@
 void points(const operator_t *op, long n, const double *X, int project, double *W, double *P,
             double *A)
 {
-  const long size = op->rows * op->cols, stride = size + op->parameters;
-  for (long i = 0; i < n; i++)
-    point(op, X + stride * i, project, W ? W + i : 0, P ? P + size * i : 0,
-          A ? A + size * size * i : 0);
+  points_in_row(op, n, X, project, W, P, A);
 }
 
 /* n matrices F; U (rows x rows), s (min(rows, cols); plane: 3), V (cols x cols), each row-major. */

@@ -32,12 +32,16 @@ static inline int rotate_pair(double a[3], double b[3], double va[3], double vb[
   const double aa = dot(a, a), bb = dot(b, b), ab = dot(a, b);
   double c = 1, s = 0;
   int again = 0;
-  /* The floor keeps r, x > 0, far below what matters beside entries of 1e-30 (see svd_columns). */
-  if (ab * ab > DBL_EPSILON * DBL_EPSILON * aa * bb + 1e-280) {
-    const double z = fabs(bb - aa), h = bb > aa ? 2 * ab : -2 * ab;
-    const double r = sqrt(z * z + h * h), x = z + r, scale = 1 / sqrt(2 * r * x);
-    c = x * scale;
-    s = h * scale;
+  /* The floor keeps d^4 > 0, far below what matters beside entries of 1e-3 (see svd_columns). */
+  if (ab * ab > DBL_EPSILON * DBL_EPSILON * aa * bb + 1e-150) {
+    const double z = fabs(bb - aa), h = 2 * fabs(ab);
+    /* tan(angle/2) = tan(atan(h/z)/4) = n/d to 3 % and, for small h/z, to third order: an angle
+       without a root, by a matrix that is a rotation to the last digit all the same. */
+    const double n = h * (z + 0.7413 * h), d = (4 * z + 2.9652 * h) * z + 1.7897 * h * h;
+    const double scale = 1 / (n * n + d * d);
+    c = (d * d - n * n) * scale;
+    s = 2 * n * d * scale;
+    s = (bb > aa) == (ab > 0) ? s : -s;
     /* Convergence is quadratic: angles below 1e-8, between vectors and of rotation, leave 1e-16. */
     again = ab * ab > 1e-17 * aa * bb || s * s > 1e-17;
   } else if (!(bb > aa))
@@ -81,11 +85,11 @@ static inline void second_vector(const double u[3], const double w[3], double le
     e[i] *= norm;
 }
 
-/* The work of svd() for the leading rows x cols (2 or 3) of a matrix with the given row stride. */
-static inline void svd_columns(int rows, int cols, int stride, int improper, const double *F,
-                               double U[9], double s[3], double V[9])
+/* Columns w of the leading rows x cols of a matrix with the given row stride, divided by a power of
+   two that changes no digit if they are far from 1. 0 for a zero matrix, -1 if not finite. */
+static inline int load_columns(int rows, int cols, int stride, const double *F, double w[3][3],
+                               int *exponent)
 {
-  double w[3][3] = {{0}}, v[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, u[3][3];
   double largest = 0;
   int finite = 1;
   for (int i = 0; i < rows; i++)
@@ -95,27 +99,20 @@ static inline void svd_columns(int rows, int cols, int stride, int improper, con
       finite &= fabs(x) <= DBL_MAX;
       largest = fabs(x) > largest ? fabs(x) : largest;
     }
-  if (!finite || largest == 0) {
+  *exponent = 0;
+  if (finite && (largest > 1e3 || largest < 1e-3) && largest > 0) {
+    frexp(largest, exponent);
     for (int i = 0; i < 9; i++)
-      U[i] = V[i] = finite ? i % 4 == 0 : NAN;
-    s[0] = s[1] = s[2] = finite ? 0 : NAN;
-    return;
+      w[i / 3][i % 3] = ldexp(w[i / 3][i % 3], -*exponent);
   }
-  int exponent = 0; /* a power of two changes no digit */
-  if (largest > 1e30 || largest < 1e-30) {
-    frexp(largest, &exponent);
-    for (int i = 0; i < 9; i++)
-      w[i / 3][i % 3] = ldexp(w[i / 3][i % 3], -exponent);
-  }
-  for (int sweep = 0; sweep < SWEEPS; sweep++) {
-    int again = rotate_pair(w[0], w[1], v[0], v[1]);
-    if (cols == 3) {
-      again |= rotate_pair(w[0], w[2], v[0], v[2]);
-      again |= rotate_pair(w[1], w[2], v[1], v[2]);
-    }
-    if (!again)
-      break;
-  }
+  return finite ? largest > 0 : -1;
+}
+
+/* U, s and V from orthogonal columns w = F V, the longest first, and the columns v of V. */
+static inline void finish_columns(int rows, int cols, int improper, double w[3][3], double v[3][3],
+                                  int exponent, double U[9], double s[3], double V[9])
+{
+  double u[3][3];
   const double s0 = sqrt(dot(w[0], w[0])), inverse = 1 / s0;
   double s1, s2 = 0;
   for (int i = 0; i < 3; i++)
@@ -156,6 +153,31 @@ static inline void svd_columns(int rows, int cols, int stride, int improper, con
       U[3 * i + k] = u[k][i];
       V[3 * i + k] = v[k][i];
     }
+}
+
+/* The work of svd() for the leading rows x cols (2 or 3) of a matrix with the given row stride. */
+static inline void svd_columns(int rows, int cols, int stride, int improper, const double *F,
+                               double U[9], double s[3], double V[9])
+{
+  double w[3][3] = {{0}}, v[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  int exponent;
+  const int usual = load_columns(rows, cols, stride, F, w, &exponent);
+  if (usual != 1) {
+    for (int i = 0; i < 9; i++)
+      U[i] = V[i] = usual == 0 ? i % 4 == 0 : NAN;
+    s[0] = s[1] = s[2] = usual == 0 ? 0 : NAN;
+    return;
+  }
+  for (int sweep = 0; sweep < SWEEPS; sweep++) {
+    int again = rotate_pair(w[0], w[1], v[0], v[1]);
+    if (cols == 3) {
+      again |= rotate_pair(w[0], w[2], v[0], v[2]);
+      again |= rotate_pair(w[1], w[2], v[1], v[2]);
+    }
+    if (!again)
+      break;
+  }
+  finish_columns(rows, cols, improper, w, v, exponent, U, s, V);
 }
 
 /* F = U diag(s) V^T, |s_1| >= |s_2| >= |s_3|, F row-major of shape rows x cols.
