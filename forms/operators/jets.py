@@ -45,8 +45,6 @@ class Kind:
     @property
     def smooth(self) -> bool:
         """Whether every quotient has a finite limit, so that nothing is clamped."""
-        if self.improper:
-            return self.function.even
         return self.function.even if self.shape == (3, 2) else self.function.smooth
 
 

@@ -66,6 +66,7 @@ class Convergence:
         residual: Norm of the out-of-balance forces at free degrees of freedom [N].
         force_level: Force [N] that the residual is compared with.
         correction: Largest last change of a displacement component [m].
+        residuals: Norm of the out-of-balance forces at the start and after each iteration [N].
     """
 
     converged: bool
@@ -77,6 +78,7 @@ class Convergence:
     residual: float
     force_level: float
     correction: float
+    residuals: tuple[float, ...] = ()
 
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
@@ -322,6 +324,7 @@ class Newton:
         self.x.copy(self._x_before)
         self._correction, self._energetic = np.inf, objective
         self._resumed = before is not None
+        self._history: list[float] = []
         snes.solve(None, self.x)
         self._put(self.x)
         code = snes.getConvergedReason()
@@ -341,6 +344,10 @@ class Newton:
             residual=self._last[0],
             force_level=self._last[1],
             correction=float(self._correction),
+            # A run that goes on from another one meets its last residual again.
+            residuals=(before.residuals + tuple(self._history[1:]))
+            if before
+            else tuple(self._history),
         )
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
@@ -368,6 +375,7 @@ class Newton:
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         fnorm = norms[2]
+        self._history.append(float(fnorm))
         if not np.isfinite(fnorm):
             return -4
         x = snes.getSolution()
