@@ -81,6 +81,31 @@ def test_import_cad(demo):
     assert printed.count("mm^2 about") == 10
 
 
+def test_muscle(demo):
+    """The bar follows the arc to the error of its elements, and the ring is almost free of energy."""
+    numbers, _ = demo("muscle", "quarter.png", "half_closed.png")
+    assert numbers["steps"][-1]["load"] == 1.0
+    assert max(step["records"]["error"] for step in numbers["steps"]) < 1e-3
+    assert numbers["ring"] < 1e-3 * numbers["straight"]
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_scramble(demo, ranks):
+    """Four ruined starts return to rest within 12 iterations, whatever the number of ranks."""
+    numbers, printed = demo("scramble", ranks=ranks)
+    assert numbers["inverted"]["scrambled"] > 400 and numbers["inverted"]["a point"] > 800
+    assert max(numbers["iterations"].values()) <= 12
+    assert printed.count("|u| = ") == 4
+
+
+def test_benchmark_of_operators_runs(run, tmp_path):
+    """The rows of the full benchmark, at toy size: every way is assembled and timed."""
+    done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 29 and all(row.get("ratio", 1) > 0 for row in rows)
+    assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
+
+
 @pytest.mark.slow
 def test_twist_on_two_ranks_gives_the_numbers_of_one(demo):
     """Every step, moment and volume ratio to 1e-6, at the default tolerances."""

@@ -96,6 +96,7 @@ def test_the_wheel_works_outside_the_checkout(tmp_path):
         "import forms, meshes, importlib.metadata as m, pathlib\n"
         "print(forms.__file__, m.version('variform'))\n"
         "assert (pathlib.Path(forms.__file__).parent / 'py.typed').exists()\n"
+        "forms.energies.as_rigid_as_possible.evaluate([[[2, 0, 0], [0, 1, 0], [0, 0, 1]]], 1)\n"
     )
     done = subprocess.run(
         [venv / "bin/python", "-c", script],
