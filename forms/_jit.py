@@ -40,6 +40,14 @@ def flags(comm: MPI.Comm) -> list[str]:
     return _known[key]
 
 
+def jit_options(comm: MPI.Comm) -> dict[str, Any]:
+    """Options for DOLFINx's own compilation. Collective at the first call."""
+    # How long a program waits for the same form compiled by another: DOLFINx's 10 s are short on a
+    # busy machine.
+    patience = max(60, int(jit.get_options()["timeout"]))
+    return {"cffi_extra_compile_args": flags(comm), "timeout": patience}
+
+
 def folder() -> Path:
     """Where compiled code is kept: DOLFINx's own cache."""
     return Path(jit.get_options()["cache_dir"])
@@ -54,7 +62,7 @@ def compiled(comm: MPI.Comm, ufl_object: Any) -> tuple[Any, Any]:
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
     """
-    options = {"cffi_extra_compile_args": flags(comm)}
+    options = jit_options(comm)
     result, module, _ = alike(
         comm, lambda: jit.ffcx_jit(comm, ufl_object, jit_options=options), "a form"
     )

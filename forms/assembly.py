@@ -19,6 +19,7 @@ from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx
 from .operators.chain import Dependent, dependents, expanded
+from .operators.jets import Jet
 from .operators.lowering import compiled, default_degree
 from .supports import Support, is_mixed
 from .variation import residual, tangent
@@ -213,14 +214,17 @@ def system(
     is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
     R = residual(potential, u) if is_energy else potential
     if virtual_work is not None:
-        found = len(virtual_work.arguments()) if isinstance(virtual_work, ufl.Form) else "no form"
-        if found != 1:
+        count = len(virtual_work.arguments()) if isinstance(virtual_work, ufl.Form) else "no form"
+        if count != 1:
             raise ValueError(
                 "virtual_work must be a form linear in one test function, got one with "
-                f"{found}; add a load's potential to the potential instead."
+                f"{count}; add a load's potential to the potential instead."
             )
         R = with_quadrature(R + virtual_work, degree)
     K = tangent(R, u)
+    parts = [expanded(potential), R]
+    parts += [c.jets.packed for part in parts for c in dependents(part) if isinstance(c, Jet)]
+    found = dict.fromkeys(c for part in parts for c in dependents(part))
     energetic = is_energy and virtual_work is None
     mixed = is_mixed(u.function_space)
     return System(
@@ -232,8 +236,8 @@ def system(
         _residual=compiled(R),
         _tangent=compiled(K),
         _tangent_form=K,
-        _dependents=list(dict.fromkeys([*dependents(expanded(potential)), *dependents(R)])),
-        _constants=tuple(R.constants()),
+        _dependents=[c for c in found if not isinstance(c, Jet)],
+        _constants=tuple(c for part in parts for c in extract_constants(part)),
     )
 
 

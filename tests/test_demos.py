@@ -82,7 +82,7 @@ def test_import_cad(demo):
 
 
 def test_muscle(demo):
-    """The bar follows the arc to the error of its elements, and the ring is almost free of energy."""
+    """The bar follows the arc to the error of its elements; the ring is almost free of energy."""
     numbers, _ = demo("muscle", "quarter.png", "half_closed.png")
     assert numbers["steps"][-1]["load"] == 1.0
     assert max(step["records"]["error"] for step in numbers["steps"]) < 1e-3

@@ -253,6 +253,20 @@ def test_activation_in_the_plane_and_in_time(rng):
     assert abs(forms.integral(psi * ufl.dx)) < 1e-28
 
 
+def test_a_load_factor_inside_an_operand_is_seen():
+    """Follow accepts a t that only an activation contains, and refuses one that nothing does."""
+    body = unit_mesh(3)
+    u, t = forms.displacement(body), forms.load_factor(body)
+    F = forms.deformation_gradient(u)
+    held = [forms.clamp(u, whole(body, lambda x: x[0] < 1e-9))]
+    potential = energies.activated(F, (1 + t) * ufl.Identity(3), MU) * ufl.dx
+    assert forms.follow(potential, u, held, t, progress=False).completed
+    t.value = 0
+    potential = energies.fixed_corotated(F, MU, LMBDA) * ufl.dx
+    with pytest.raises(ValueError, match="nothing depends on the load factor"):
+        forms.follow(potential, u, held, t, progress=False)
+
+
 def test_evaluators_are_the_kernels(rng):
     """P, dPdF = energy.evaluate(F): what a form assembles, for three and for two stretches."""
     body = unit_mesh(3)

@@ -20,7 +20,7 @@ from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
 from .. import _dolfinx
-from .chain import Expr, Pointwise, contains, rate
+from .chain import Expr, Pointwise, contains, rate, update_dependents
 from .stretches import StretchFunction
 
 
@@ -163,7 +163,8 @@ class Jet(ufl.Coefficient):
         return jets[self.level + 1], expand_derivatives(differentiate(jets.X))
 
     def update(self) -> None:
-        """Nothing to do: the kernels compute the values from the operand."""
+        """Bring what the operand depends on up to date; the kernels compute the values."""
+        update_dependents(self.jets.packed)
 
     def _ufl_signature_data_(self, renumbering: Any) -> Any:
         _refuse_compiling()

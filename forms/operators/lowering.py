@@ -59,7 +59,7 @@ def default_degree(kind: str, k: int) -> int:
 def _plain(form: ufl.Form) -> fem.Form:
     """DOLFINx's own compilation with our flags and our sentence where it fails."""
     comm = _dolfinx.cpp_mesh(form.ufl_domain()).comm
-    options = {"cffi_extra_compile_args": _jit.flags(comm)}
+    options = _jit.jit_options(comm)
     return _jit.alike(comm, lambda: fem.form(form, jit_options=options), "a form")
 
 
