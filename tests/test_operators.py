@@ -340,6 +340,42 @@ BAD = {
     ),
     "parameters": (lambda F, u: energies.hencky(F, 1.0), "missing a required argument: 'lmbda'"),
     "negative": (lambda F, u: energies.hencky(F, -1.0, 1.0), "mu must be positive, got -1.0"),
+    "no parameter": (
+        lambda F, u: energies.hencky(F, "1", 1.0),
+        "hencky needs mu as a number or a UFL scalar, got str",
+    ),
+    "tensor": (
+        lambda F, u: energies.hencky(F, F, 1.0),
+        r"needs mu as a number or a UFL scalar, got Variable of shape \(3, 3\)",
+    ),
+    "unknown parameter": (
+        lambda F, u: energies.hencky(F, 1.0, 1.0, nu=3),
+        r"hencky\(F, mu, lmbda\): got an unexpected keyword argument 'nu'",
+    ),
+    "independent": (
+        lambda F, u: energies.principal(lambda a, b, c: 0 * a)(F),
+        "does not depend on the singular values, got 0",
+    ),
+    "NumPy": (
+        lambda F, u: energies.principal(lambda a, b, c: np.log(a))(F),
+        "failed on UFL scalars .* write it with ufl.ln",
+    ),
+    "no UFL": (
+        lambda F, u: energies.hencky(np.eye(3), 1.0, 1.0),
+        "needs a deformation gradient in UFL, got ndarray; for arrays there is hencky.evaluate",
+    ),
+    "no numbers": (
+        lambda F, u: energies.hencky.evaluate("F", 1.0, 1.0),
+        "hencky.evaluate needs F as numbers, got str",
+    ),
+    "parameters of another length": (
+        lambda F, u: energies.hencky.evaluate([np.eye(3)], np.ones(2), 1.0),
+        r"numbers or one per F, shape \(1,\), got \(2,\)",
+    ),
+    "activation of another kind": (
+        lambda F, u: energies.activated(F, "A", 1.0),
+        "needs A as a matrix of numbers or in UFL, got str",
+    ),
     "terms": (
         lambda F, u: energies.ogden(F, [1.0], [2.0, 3.0]),
         "as many mu as alpha, got 1 and 2",

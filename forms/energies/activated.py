@@ -40,7 +40,11 @@ def activated(F: Expr, A: Expr | ArrayLike, mu: Expr, improper: bool = False) ->
 
     Source: document 002, with A^T for an A that is not symmetric.
     """
-    matrix = ufl.as_matrix(np.asarray(A).tolist()) if _is_array(A) else ufl.as_ufl(A)
+    matrix = ufl.as_matrix(np.asarray(A).tolist()) if _is_array(A) else A
+    if not isinstance(matrix, ufl.core.expr.Expr):
+        raise ValueError(
+            f"activated needs A as a matrix of numbers or in UFL, got {type(A).__name__}."
+        )
     if F.ufl_shape != (3, 3):
         raise ValueError(
             f"activated needs a 3x3 F, got shape {F.ufl_shape}: pass forms.deformation_gradient(u)."

@@ -9,6 +9,7 @@ here is psi_hat, from which stress and tangent follow by differentiation. Each a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from numbers import Real
 
 import ufl
 
@@ -163,7 +164,7 @@ def extended(energy: SingularValueEnergy, below: float) -> SingularValueEnergy:
             "extended needs an energy in singular values, as hencky, got "
             f"{getattr(energy, '__name__', type(energy).__name__)}."
         )
-    if not 0 < below < 1:
+    if not (isinstance(below, Real) and 0 < below < 1):
         raise ValueError(f"extended needs a stretch below between 0 and 1, got {below}.")
     return energy.mapped(lambda psi_hat: _taylor(psi_hat, below), f"extended_{energy.name}")
 

@@ -88,7 +88,8 @@ class SingularValueEnergy:
         self.stretches, self.improper, self.clamp = n, improper, float(clamp)
         self._psi_hat, self._check = psi_hat, check
         self._functions: dict[tuple, tuple[StretchFunction, list[Expr]]] = {}
-        following = list(given.parameters.values())[n:]
+        blank = inspect.Parameter.empty
+        following = [p.replace(annotation=blank) for p in list(given.parameters.values())[n:]]
         argument = inspect.Parameter("F", inspect.Parameter.POSITIONAL_OR_KEYWORD)
         self.__signature__ = inspect.Signature([argument, *following])
         self.__doc__ = psi_hat.__doc__ or type(self).__doc__
@@ -111,6 +112,9 @@ class SingularValueEnergy:
         """
         X = self._operand(F)
         values = self._values(args, parameters)
+        for key, value in values.items():
+            for number in value if isinstance(value, list | tuple) else (value,):
+                _check_scalar(number, key, self.name)
         domains = {ufl.domain.extract_unique_domain(X)}
         for value in _flattened(values):
             domains.update(() if isinstance(value, Real) else ufl.domain.extract_domains(value))
@@ -171,7 +175,7 @@ class SingularValueEnergy:
         self, F: ArrayLike, args: Any, parameters: Any, levels: tuple[int, ...], project: bool
     ) -> tuple[Array, ...]:
         values = self._values(args, parameters)
-        array = np.asarray(F, dtype=float)
+        array = _numbers(F, "F", self.name)
         shapes = [(3, 3)] if self.stretches == 3 else [(2, 2), (3, 2)]
         wanted = " or ".join(f"(n, {a}, {b})" for a, b in shapes)
         if array.ndim != 3 or array.shape[1:] not in shapes:
@@ -181,12 +185,16 @@ class SingularValueEnergy:
             raise ValueError(f"{self.name} needs finite F, got {array[bad].tolist()} at {bad}.")
         function, stand_ins = self._numeric(values)
         known = dict(zip(stand_ins, _flattened(values), strict=True))
-        columns = [
-            np.broadcast_to(np.asarray(known.get(p, p), float), len(array))
-            if p in known
-            else np.full(len(array), _number(p, self.name))
-            for p in function.parameters
-        ]
+        columns = []
+        for p in function.parameters:
+            column = _numbers(known[p], "parameters", self.name) if p in known else None
+            column = np.array(_present_value(p, self.name)) if column is None else column
+            if column.shape not in ((), (len(array),)):
+                raise ValueError(
+                    f"{self.name} needs parameters that are numbers or one per F, shape "
+                    f"({len(array)},), got {column.shape}."
+                )
+            columns.append(np.broadcast_to(column, len(array)))
         rows, cols = array.shape[1:]
         kind = Kind(function, (rows, cols), False, self.improper, self.clamp)
         X = np.column_stack([array.reshape(len(array), -1), *columns])
@@ -226,7 +234,11 @@ class SingularValueEnergy:
         return values
 
     def _operand(self, F: Expr) -> Expr:
-        F = ufl.as_ufl(F)
+        if not isinstance(F, ufl.core.expr.Expr):
+            raise ValueError(
+                f"{self.name} needs a deformation gradient in UFL, got {type(F).__name__}; for "
+                f"arrays there is {self.name}.evaluate."
+            )
         if self.stretches == 3 and F.ufl_shape == (2, 2):
             return ufl.as_matrix([[F[0, 0], F[0, 1], 0], [F[1, 0], F[1, 1], 0], [0, 0, 1]])
         if self.stretches == 2 and F.ufl_shape == (3, 3) and is_plane(F):
@@ -245,12 +257,32 @@ def _each(value: Any, make: Callable[[Any], Any]) -> Any:
     return [make(v) for v in value] if isinstance(value, list | tuple) else make(value)
 
 
+def _check_scalar(value: Any, key: str, name: str) -> None:
+    """Refuse what is neither a number nor a UFL scalar."""
+    shape = getattr(value, "ufl_shape", None)
+    if not isinstance(value, Real) and shape != ():
+        raise ValueError(
+            f"{name} needs {key} as a number or a UFL scalar, got {type(value).__name__}"
+            + (f" of shape {shape}." if shape else ".")
+        )
+
+
+def _numbers(values: Any, what: str, name: str) -> Array:
+    """Values as an array of numbers, or one sentence."""
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name}.evaluate needs {what} as numbers, got {type(values).__name__}."
+        ) from None
+
+
 def _flattened(values: dict[str, Any]) -> list[Any]:
     parts = ((v if isinstance(v, list | tuple) else [v]) for v in values.values())
     return [x for part in parts for x in part]
 
 
-def _number(parameter: Expr, name: str) -> float:
+def _present_value(parameter: Expr, name: str) -> float:
     """Present value of a Constant, or of an entry of one, that stands in the text of psi_hat."""
     entry: tuple[int, ...] = ()
     if isinstance(parameter, ufl.classes.Indexed):

@@ -21,6 +21,7 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
+from ufl.algorithms.analysis import extract_constants
 
 from .. import _jit
 
@@ -59,9 +60,17 @@ class StretchFunction:
         self.n, self.name = n, name
         self._compiled: dict[int, tuple[Any, Any]] = {}
         probe = ufl.Constant(NOWHERE, shape=(n,))
-        psi = expand_derivatives(ufl.as_ufl(psi_hat(*(probe[i] for i in range(n)))))
+        try:
+            psi = expand_derivatives(ufl.as_ufl(psi_hat(*(probe[i] for i in range(n)))))
+        except TypeError as error:
+            raise ValueError(
+                f"{name} failed on UFL scalars ({error}): write it with ufl.ln, ufl.exp, .., not "
+                "with NumPy's functions."
+            ) from error
         if psi.ufl_shape != () or psi.ufl_free_indices:
             raise ValueError(f"{name} must return a scalar, got the shape {psi.ufl_shape}.")
+        if probe not in extract_constants(psi):
+            raise ValueError(f"{name} does not depend on the singular values, got {psi}.")
         leaves = _leaves(psi, probe)
         self.parameters = [c for leaf in leaves for c in _components(leaf)]
         if len(self.parameters) > MAX_PARAMETERS:
