@@ -23,6 +23,15 @@ from .kinematics import (
     volume_ratio,
 )
 from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
+from .membranes import (
+    area_vector,
+    enclosed_volume,
+    incompressible_sheet,
+    membrane_gradient,
+    membrane_invariants,
+    membrane_pressure,
+    orientation,
+)
 from .operators import SingularValueEnergy, compiled
 from .output import VTX, summary
 from .pictures import picture
@@ -65,6 +74,11 @@ __all__ = [  # in the order a user meets them
     "circumference",
     "plane_stress",
     "plane_stress_incompressible",
+    "membrane_gradient",
+    "membrane_invariants",
+    "area_vector",
+    "incompressible_sheet",
+    "orientation",
     "right_cauchy_green",
     "left_cauchy_green",
     "volume_ratio",
@@ -82,6 +96,8 @@ __all__ = [  # in the order a user meets them
     "dead_traction",
     "follower_pressure",
     "pressure_potential",
+    "membrane_pressure",
+    "enclosed_volume",
     "spring",
     "Support",
     "clamp",

@@ -49,6 +49,12 @@ def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
 
 
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+    """Nodes of each cell's geometry, shape (cells, nodes) (0.11: one array per cell type)."""
+    geometry = mesh.geometry
+    return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+
+
 def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
     """Reference points of a space's degrees of freedom (a method up to 0.9)."""
     points = V.element.interpolation_points

@@ -177,8 +177,8 @@ def _dimension(u: Expr, name: str) -> int:
     if _dolfinx.topological_dimension(domain) != mesh_dim:
         raise ValueError(
             f"{name} needs a body that fills its space, got cells of dimension "
-            f"{_dolfinx.topological_dimension(domain)} in {mesh_dim} dimensions; membranes are not "
-            "in this release."
+            f"{_dolfinx.topological_dimension(domain)} in {mesh_dim} dimensions: for a "
+            "surface in space use forms.membrane_gradient."
         )
     if dim != mesh_dim:
         raise ValueError(

@@ -4,6 +4,20 @@
 from .blocks import block, cook
 from .body import Body
 from .files import read
+from .sheets import cylindrical_sheet, disk, pillow, spherical_sheet, square
 from .solids import cylinder, ellipsoid, sphere_octant
 
-__all__ = ["block", "cook", "cylinder", "sphere_octant", "ellipsoid", "read", "Body"]
+__all__ = [
+    "block",
+    "cook",
+    "cylinder",
+    "sphere_octant",
+    "ellipsoid",
+    "square",
+    "disk",
+    "spherical_sheet",
+    "cylindrical_sheet",
+    "pillow",
+    "read",
+    "Body",
+]

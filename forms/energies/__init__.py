@@ -13,6 +13,12 @@ from .isotropic import (
     volumetric,
     yeoh,
 )
+from .membrane import (
+    mooney_rivlin_sheet,
+    neo_hookean_sheet,
+    saint_venant_kirchhoff_sheet,
+    sheet,
+)
 from .mixed import with_pressure
 from .moduli import bulk_modulus, lame_from_shear, lame_from_young
 from .principal import (
@@ -49,13 +55,17 @@ __all__ = [
     "lame_from_shear",
     "lame_from_young",
     "mooney_rivlin",
+    "mooney_rivlin_sheet",
     "neo_hookean",
     "neo_hookean_quadratic",
+    "neo_hookean_sheet",
     "neo_hookean_stretches",
     "ogden",
     "principal",
     "saint_venant_kirchhoff",
+    "saint_venant_kirchhoff_sheet",
     "saint_venant_kirchhoff_stretches",
+    "sheet",
     "stable_neo_hookean",
     "stable_neo_hookean_stretches",
     "symmetric_dirichlet",
