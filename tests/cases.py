@@ -6,6 +6,7 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
+import recorder
 import ufl
 from dolfinx import fem, mesh
 
@@ -175,11 +176,20 @@ def bending(scale=1.0, length=1.0, **solving):
 
 
 def off(found, wanted):
-    """Relative difference of two arrays of one shape."""
+    """Relative difference of two arrays of one shape, a figure of the page where it is printed."""
+    value = _off(found, wanted)
+    recorder.figure(value)
+    return value
+
+
+def _off(found, wanted):
     found, wanted = np.asarray(found), np.asarray(wanted)
     assert found.shape == wanted.shape
     return np.abs(found - wanted).max() / np.abs(wanted).max()
 
 
 def agree(found, wanted, digits):
-    assert off(found, wanted) < 10.0**-digits
+    """Compare, and record how well they agreed."""
+    error = _off(found, wanted)
+    recorder.error(error)
+    assert error < 10.0**-digits

@@ -10,8 +10,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_addoption(parser):
+    parser.addoption("--write-table", action="store_true", help="rewrite forms/formulas/README.md")
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "call" and report.passed:
+        recorder.finished.add(report.nodeid.partition("::")[2].partition("[")[0])
+
+
+def pytest_terminal_summary(terminalreporter, exitstatus, config):
+    if config.getoption("--write-table"):
+        why = recorder.write() if exitstatus == 0 else "No table is written: tests failed."
+        terminalreporter.write_line(why)
 
 
 @pytest.fixture

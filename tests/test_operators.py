@@ -2,6 +2,7 @@
 """Energies in singular values inside forms: equal to plain UFL wherever UFL can say the same."""
 
 import gc
+from concurrent.futures import ThreadPoolExecutor
 
 from mpi4py import MPI
 
@@ -488,6 +489,30 @@ try:
 except RuntimeError as error:
     print(MPI.COMM_WORLD.gather(str(error)))
 """
+
+
+AT_ONCE = """
+from mpi4py import MPI
+import ufl, forms
+from dolfinx import mesh
+u = forms.displacement(mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2))
+u.interpolate(lambda x: 0.1 * x)
+psi = forms.energies.hencky(forms.deformation_gradient(u), 1.0, 1.0)
+energy = forms.system(psi * ufl.dx, u).energy()
+if MPI.COMM_WORLD.rank == 0:
+    print(energy)
+"""
+
+
+@pytest.mark.slow
+def test_programs_that_start_at_once_share_an_empty_cache(run, tmp_path, monkeypatch):
+    """Three programs of two ranks each compile the same kernels into one folder at a time."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with ThreadPoolExecutor(3) as pool:
+        done = list(pool.map(lambda _: run("-c", AT_ONCE, ranks=2), range(3)))
+    wanted = 3 * np.log(1.1) ** 2 + 9 / 2 * np.log(1.1) ** 2
+    assert [float(d.stdout) for d in done] == pytest.approx([wanted] * 3, rel=1e-12)
+    assert len(list((tmp_path / "fenics").glob("libvariform_*"))) == 1
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

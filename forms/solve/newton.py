@@ -243,6 +243,7 @@ class Newton:
         afterwards starts from exact boundary values and its residuals are forces only. Collective.
         """
         system = self.system
+        self._projecting = self.projection == "always"
         if self._rounding == 0:
             self._measure_stiffness()
         self.measure_imbalance()
