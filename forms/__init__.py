@@ -43,7 +43,7 @@ from .results import (
     smallest_volume_ratio,
     volume,
 )
-from .solve import Convergence, Newton, NotConverged, Path, Step, follow, solve
+from .solve import Convergence, Newton, NotConverged, Path, Step, control, follow, solve
 from .supports import (
     Support,
     clamp,
@@ -118,6 +118,7 @@ __all__ = [  # in the order a user meets them
     "system",
     "solve",
     "follow",
+    "control",
     "Path",
     "Step",
     "Newton",
