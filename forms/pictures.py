@@ -62,7 +62,7 @@ def picture(
     comm = u.function_space.mesh.comm
     on_rank_zero(comm, _ensure_display)
     parts = comm.gather(_part(u, color), root=0)
-    dim = u.function_space.mesh.topology.dim
+    dim = u.function_space.mesh.geometry.dim
 
     def draw() -> None:
         _draw(_merge(parts), filename, label, limits, view, title, scale, reference, size, dim)

@@ -98,6 +98,14 @@ def test_scramble(demo, ranks):
     assert printed.count("|u| = ") == 4
 
 
+def test_balloon(demo):
+    """Sphere and clamped disk pass their limit pressures, 1.2394629 and 1.8791735."""
+    numbers, _ = demo("balloon", "pressure.png")
+    assert numbers["limits"]["sphere"][1] == pytest.approx(1.2394629, rel=1e-3)
+    assert numbers["limits"]["disk"] == pytest.approx([1.17389, 1.8791735], rel=1e-2)
+    assert numbers["error"] < 1e-3
+
+
 def test_benchmark_of_operators_runs(run, tmp_path):
     """The rows of the full benchmark, at toy size: every way is assembled and timed."""
     done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
