@@ -121,6 +121,8 @@ def integration_entities(
 ) -> NDArray[np.int32]:
     """Entities of an integral as DOLFINx wants them; -1: the whole mesh, owned entities only."""
     topology, dim = mesh.topology, mesh.topology.dim
+    if subdomain is None and number != -1:
+        return np.empty(0, np.int32)
     facets = kind == fem.IntegralType.exterior_facet
     if subdomain is not None and number != -1 and not hasattr(subdomain, "find"):
         found = [np.asarray(entities) for tag, entities in subdomain if tag == number]

@@ -22,26 +22,23 @@ from mpi4py import MPI
 from dolfinx import jit
 
 REORDER = ["-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math"]
+# Words in the names of errors that are the compiler's or the folder's, and not the form's.
+_COMPILERS = ("Compile", "Link", "Verification", "FileNotFound", "Permission", "OSError", "gcc")
 _DEFAULTS = (["-O2"], ["-O2", "-g0"])  # DOLFINx's own; anything else is the user's choice
-
-_known: dict[int, list[str]] = {}
 
 
 def flags(comm: MPI.Comm) -> list[str]:
-    """Compiler flags for kernels on the CPUs of a communicator. Collective at the first call."""
+    """Compiler flags for kernels on the CPUs of a communicator. Collective."""
     chosen = list(jit.get_options()["cffi_extra_compile_args"])
     if chosen not in _DEFAULTS:
         return chosen
-    key = comm.py2f()
-    if key not in _known:
-        cpus = set(comm.allgather(_cpu()))
-        own = ["-march=native", f"-DVARIFORM_CPU={_cpu()}"] if len(cpus) == 1 else []
-        _known[key] = ["-O3", *own, *REORDER]
-    return _known[key]
+    alike = comm.size == 1 or len(set(comm.allgather(_cpu()))) == 1
+    own = ["-march=native", f"-DVARIFORM_CPU={_cpu()}"] if alike else []
+    return ["-O3", *own, *REORDER]
 
 
 def jit_options(comm: MPI.Comm) -> dict[str, Any]:
-    """Options for DOLFINx's own compilation. Collective at the first call."""
+    """Options for DOLFINx's own compilation. Collective."""
     # How long a program waits for the same form compiled by another: DOLFINx's 10 s are short on a
     # busy machine.
     patience = max(60, int(jit.get_options()["timeout"]))
@@ -81,10 +78,10 @@ def alike(comm: MPI.Comm, compile: Callable[[], Any], what: str) -> Any:
     failure = max(comm.allgather(failure), key=len)
     if not failure:
         return result
-    raise RuntimeError(
-        f"compiling {what} failed ({failure}): is a C compiler installed ({compiler()}), and "
-        f"{folder()} writable?"
-    )
+    hint = ": is it one that DOLFINx can compile?"
+    if any(word in failure for word in _COMPILERS):
+        hint = f": is a C compiler installed ({compiler()}), and {folder()} writable?"
+    raise RuntimeError(f"compiling {what} failed ({failure}){hint}")
 
 
 @cache

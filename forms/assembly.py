@@ -161,9 +161,8 @@ class System:
         """
         form = self._tangent
         if projected:
-            self.check_projection()
-            if self._projected is None:
-                self._projected = compiled(self._tangent_form, project=True)
+            self.prepare_projection()
+            assert self._projected is not None
             form = self._projected
         self.update_dependents()
         A.zeroEntries()
@@ -171,13 +170,20 @@ class System:
         fem_petsc.assemble_matrix(A, form, self.conditions)  # type: ignore[arg-type]
         A.assemble()
 
-    def check_projection(self) -> None:
-        """Refuse a projection of a tangent that is no second derivative to be minimized by."""
+    def prepare_projection(self) -> None:
+        """Compile the projected tangent, once. Collective.
+
+        Raises:
+            ValueError: the tangent is no second derivative of an energy to be minimized, or has
+                integrals that cannot be projected.
+        """
         if not (self.minimization and self.is_displacement):
             raise ValueError(
                 "a projected tangent needs a potential of the displacement alone, got a mixed "
                 "unknown, a virtual work or a residual: solve with projection='never'."
             )
+        if self._projected is None:
+            self._projected = compiled(self._tangent_form, project=True)
 
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""

@@ -21,7 +21,7 @@ def pytest_addoption(parser):
 
 def pytest_runtest_logreport(report):
     if report.when == "call" and report.passed:
-        recorder.finished.add(report.nodeid.partition("::")[2].partition("[")[0])
+        recorder.finished.add(recorder.named(report.nodeid))
 
 
 def pytest_terminal_summary(terminalreporter, exitstatus, config):

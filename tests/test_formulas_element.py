@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Document 003, VI-VIII: elements by hand, what is misprinted, and the match with the UFL side."""
 
-import re
 from itertools import product
 from math import factorial, prod
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 import ufl
 from cases import ENERGIES, FIBER, LMBDA, MU, TRANSVERSE, agree, at_plane, off
-from conftest import ROOT
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -652,7 +650,7 @@ def test_newton_by_hand_finds_the_solution_of_snes(rng):
     agree(u.x.array, found.ravel(), 9)
 
 
-# Errors and the page
+# Errors
 
 
 @pytest.mark.parametrize(
@@ -687,20 +685,3 @@ def test_newton_by_hand_finds_the_solution_of_snes(rng):
 def test_errors_name_the_equation(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-
-
-def test_the_page_names_what_exists():
-    """README of the folder: items 51 to 82 in order, every function and test in it exists."""
-    page = (ROOT / "forms" / "formulas" / "README.md").read_text()
-    rows = re.findall(r"^\| (\d+) \|", page, re.MULTILINE)
-    assert [int(row) for row in rows if 51 <= int(row) <= 82] == list(range(51, 83))
-    modules = {"elasticity": el, "element": fe, "shapes": shapes, "quadrature": quadrature}
-    for module, name in re.findall(r"`(elasticity|element|shapes|quadrature)\.(\w+)`", page):
-        assert hasattr(modules[module], name), f"{module}.{name}"
-    defined = {
-        name
-        for file in (ROOT / "tests").glob("test_*.py")
-        for name in re.findall(r"^def (test_\w+)\(", file.read_text(), re.MULTILINE)
-    }
-    named = re.findall(r"`(test_\w+)`", page)
-    assert len(named) > 40 and set(named) <= defined, set(named) - defined

@@ -9,6 +9,7 @@ import itertools
 
 import numpy as np
 import pytest
+import recorder
 from cases import MU, agree, off, random_rotation
 from mpmath import mp
 
@@ -352,6 +353,7 @@ def test_misprint_eigenvalues():
         values, Q = me.last_eigenpairs(U, s, V, MU, as_printed)
         residual = K @ Q.reshape(2, 6).T - values * Q.reshape(2, 6).T
         assert np.linalg.norm(residual, axis=0) == pytest.approx([wanted, wanted], abs=1e-12)
+        recorder.figure(*(values / right) if as_printed else ())
 
 
 def test_gradient_of_I3_is_orthogonal_to_four_eigenmatrices():

@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+import recorder
 from cases import random_rotation
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -47,7 +48,9 @@ def close(found, wanted, tolerance=1e-11):
     """To a tolerance, relative to the largest entry but not to less than 1."""
     wanted = np.asarray(wanted)
     assert found.shape == wanted.shape
-    assert np.abs(found - wanted).max() < tolerance * max(1, np.abs(wanted).max())
+    error = np.abs(found - wanted).max() / max(1, np.abs(wanted).max())
+    recorder.error(error)
+    assert error < tolerance
 
 
 # Document 000

@@ -254,6 +254,47 @@ def test_activation_in_the_plane_and_in_time(rng):
     assert abs(forms.integral(psi * ufl.dx)) < 1e-28
 
 
+def test_two_sets_of_tags_are_refused():
+    body = unit_mesh(3)
+    cells = np.arange(6, dtype=np.int32)
+    tags = [mesh.meshtags(body, 3, cells, np.full(6, k, np.int32)) for k in (1, 2)]
+    u = forms.displacement(body)
+    psi = energies.hencky(forms.deformation_gradient(u), MU, LMBDA)
+    one, two = (ufl.Measure("dx", body, subdomain_data=t) for t in tags)
+    with pytest.raises(ValueError, match="2 different sets of tags for its cell integrals"):
+        forms.compiled(psi * one(1) + psi * two(2))
+
+
+def test_a_term_that_begins_far_from_rest_is_no_smooth_energy():
+    """With max(s - 1.3, 0)^2 the tangent at s2 = -s3 + gap is the stress's difference quotient."""
+    limit = energies.principal(
+        lambda s1, s2, s3: sum(
+            ufl.conditional(ufl.gt(s, 1.3), (s - 1.3) ** 2, 0) for s in (s1, s2, s3)
+        )
+        + s1**2
+        + s2**2
+        + s3**2
+    )
+    F = np.diag([2.0, 1.65, -1.6])[None]
+    _, A = limit.evaluate(F)
+    wanted = np.zeros((3, 3, 3, 3))
+    for k, n in np.ndindex(3, 3):
+        step = np.zeros((1, 3, 3))
+        step[0, k, n] = 1e-6
+        wanted[:, :, k, n] = (limit.evaluate(F + step)[0] - limit.evaluate(F - step)[0])[0] / 2e-6
+    assert np.abs(A[0] - wanted).max() < 1e-6 * np.abs(wanted).max()
+
+
+def test_evaluators_follow_what_stands_in_psi_hat():
+    k = 1.0
+    energy = energies.principal(lambda a, b, c: k * ((a - 1) ** 2 + (b - 1) ** 2 + (c - 1) ** 2))
+    F = 1.1 * np.eye(3)[None]
+    first = energy.energy(F)[0]
+    k = 2.0
+    assert energy.energy(F)[0] == pytest.approx(2 * first)
+    assert energy.energy(np.empty((0, 3, 3))).shape == (0,)
+
+
 def test_a_load_factor_inside_an_operand_is_seen():
     """Follow accepts a t that only an activation contains, and refuses one that nothing does."""
     body = unit_mesh(3)
@@ -309,6 +350,10 @@ def test_states_without_an_energy_are_infinite_and_refused():
         forms.solve(psi * ufl.dx, u, [forms.clamp(u, whole(body, lambda x: x[2] < 1e-9))])
 
 
+def quadratic(u):
+    return forms.deformation_gradient(forms.displacement(u.function_space.mesh, degree=2))
+
+
 BAD = {
     "not symmetric": (
         lambda F, u: energies.principal(lambda s1, s2, s3: s1 + 2 * s2 + s3)(F),
@@ -341,6 +386,82 @@ BAD = {
     ),
     "parameters": (lambda F, u: energies.hencky(F, 1.0), "missing a required argument: 'lmbda'"),
     "negative": (lambda F, u: energies.hencky(F, -1.0, 1.0), "mu must be positive, got -1.0"),
+    "second derivative by UFL": (
+        lambda F, u: forms.compiled(
+            ufl.derivative(
+                forms.residual(energies.hencky(F, 1, 1) * ufl.dx, u)
+                + ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx,
+                u,
+            )
+        ),
+        "which would take it for a constant",
+    ),
+    "diff of a stress": (
+        lambda F, u: forms.compiled(
+            ufl.diff(stress.first_piola(energies.hencky(F, 1, 1), F), F)[0, 0, 0, 0] * ufl.dx
+        ),
+        "which would take it for a constant",
+    ),
+    "gradient in space": (
+        lambda F, u: forms.compiled((1 + energies.hencky(quadratic(u), 1, 1).dx(0)) * ufl.dx),
+        "have no derivative in space",
+    ),
+    "divergence of a stress": (
+        lambda F, u: forms.compiled(
+            (u[0] + ufl.div(stress.first_piola(energies.hencky(F, 1, 1), F))[0]) * ufl.dx
+        ),
+        "have no derivative in space",
+    ),
+    "stress of a parameter in F": (
+        lambda F, u: stress.first_piola(energies.hencky(F, 1 + ufl.tr(F) ** 2, 1.0), F),
+        "a parameter of hencky depends on the unknown",
+    ),
+    "test function": (
+        lambda F, u: energies.hencky(F, 1 + ufl.TestFunction(u.function_space)[0], 1.0),
+        "a test or trial function has no place in them",
+    ),
+    "no mesh": (
+        lambda F, u: energies.hencky(1.1 * ufl.Identity(3), 1.0, 1.0),
+        "needs an F of a mesh, got one of numbers only",
+    ),
+    "zero": (
+        lambda F, u: forms.compiled(
+            forms.derivative(
+                energies.hencky(F, 1, 1) * ufl.dx,
+                forms.displacement(u.function_space.mesh),
+                ufl.TestFunction(u.function_space),
+            )
+        ),
+        "the form is zero",
+    ),
+    "no value": (
+        lambda F, u: forms.compiled(
+            ufl.Coefficient(u.ufl_function_space())[0] * energies.hencky(F, 1, 1) * ufl.dx
+        ),
+        "has no value: use a Function or Constant of DOLFINx",
+    ),
+    "complex": (
+        lambda F, u: energies.hencky.evaluate(1j * np.ones((1, 3, 3)), 1.0, 1.0),
+        "evaluate needs F as numbers",
+    ),
+    "nan parameter": (
+        lambda F, u: energies.hencky.evaluate([np.eye(3)], np.array([np.nan]), 1.0),
+        r"needs finite parameters, got \[nan\]",
+    ),
+    "reserved name": (
+        lambda F, u: energies.principal(lambda s1, s2, s3, project: s1),
+        "may not be named project",
+    ),
+    "nameless": (
+        lambda F, u: energies.principal(lambda s1, s2, s3, *more: s1),
+        "needs parameters with names",
+    ),
+    "deep": (
+        lambda F, u: forms.compiled(
+            forms.tangent(forms.residual(energies.hencky(F, 1, 1) * ufl.dx(degree=40), u), u)
+        ),
+        "MiB per cell for .*, more than 4: lower the quadrature degree",
+    ),
     "no parameter": (
         lambda F, u: energies.hencky(F, "1", 1.0),
         "hencky needs mu as a number or a UFL scalar, got str",
@@ -404,7 +525,7 @@ BAD = {
     ),
     "interior beside": (
         lambda F, u: forms.compiled(energies.hencky(F, 1.0, 1.0) * ufl.dx + u("+")[0] * ufl.dS),
-        "over cells and exterior facets, got 1 of those and interior ones",
+        "over cells and exterior facets, got 1 of those and 1 others",
     ),
     "rule": (
         lambda F, u: forms.compiled(

@@ -112,7 +112,9 @@ if comm.rank == 0:
 
 
 @pytest.mark.parametrize("tolerance", ["tight", "default"])
-@pytest.mark.parametrize("scene", ["twist", "mixed", "follower", "sheet", "operator", "membrane", "scrambled"])
+@pytest.mark.parametrize(
+    "scene", ["twist", "mixed", "follower", "sheet", "operator", "membrane", "scrambled"]
+)
 def test_ranks_give_the_same_numbers(scene, tolerance, parallel):
     """Solved to 1e-12, 1, 2 and 3 ranks agree to 1e-10; at the defaults to ten times 1e-6."""
     allowed = 1e-10 if tolerance == "tight" else 1e-5

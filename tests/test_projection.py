@@ -148,6 +148,9 @@ def test_projected_tangents_are_semidefinite(rng):
     for potential in (
         psi * ufl.dx,
         psi**2 * ufl.dx,
+        -psi * ufl.dx,
+        psi * ufl.dx - energies.as_rigid_as_possible(F, 3 * MU) * ufl.dx,
+        (ufl.SpatialCoordinate(body)[0] - 0.5) * psi * ufl.dx,
         psi * ufl.dx + energies.stable_neo_hookean(F, MU, LMBDA) * ufl.dx,
         psi * ufl.dx + 5 * ufl.det(F) * top(7),
     ):
@@ -156,6 +159,21 @@ def test_projected_tangents_are_semidefinite(rng):
         values = np.linalg.eigvalsh(projected)
         assert values[0] > -1e-12 * values[-1]
         agree(projected, projected.T, 13)
+
+
+def test_automatic_projection_gives_way_where_it_cannot_be(box):
+    """A penalty on interior facets has no projected tangent: the search goes on without."""
+    u, held, x, inside = box
+    F = forms.deformation_gradient(u)
+    jump = ufl.jump(ufl.grad(u))
+    potential = energies.stable_neo_hookean(F, 1.0, 10.0) * ufl.dx
+    potential += 1e-3 * ufl.inner(jump, jump) * ufl.dS
+    u.x.array[:] = 0.2 * start(x, inside, "scrambled")
+    path = forms.solve(potential, u, [held], options={"snes_max_it": 100})
+    assert path.steps[0].convergence.projected == 0
+    assert np.abs(u.x.array).max() < 1e-6
+    with pytest.raises(ValueError, match="a projected form may have 64 integrals.* and 1 others"):
+        forms.solve(potential, u, [held], projection="always")
 
 
 def test_where_no_projection_is_possible_one_sentence_says_so():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the misprints of document 003 cost: Newton's iterations with exact and with printed tangents.
+"""What the misprints of document 003 cost: Newton's iterations with exact and printed tangents.
 
 Two stacked hexahedra: the bottom held, the top moved 40 % up and 20 % sideways in 4 steps, the
 middle layer free; iterations per step until |R| < 1e-10. Run ``docker/enter python3 -m
@@ -54,7 +54,7 @@ def fibers(volume, identity, tensor):
 
 ROWS = {
     ("exact", "neo-Hookean (16)"): neo_hookean(False),
-    ("(20) as printed, λ' = μ / J", "neo-Hookean (16)"): neo_hookean(True),
+    ("(20) as printed, lambda' = mu / J", "neo-Hookean (16)"): neo_hookean(True),
     ("exact", "transversely isotropic (21)"): fibers(False, False, False),
     ("(24) as printed", "transversely isotropic (21)"): fibers(True, True, True),
     ("(24), the factor of i corrected", "transversely isotropic (21)"): fibers(False, True, True),
@@ -106,15 +106,15 @@ class Stack:
         return counts
 
 
-def main(small=False, write=False):
-    """Run, print and write the table; small: the first step alone."""
+def main(write=False):
+    """Run, print and write the table."""
     rows = []
     for (tangent, name), material in ROWS.items():
-        counts = Stack().iterations(material, 4)
+        counts = Stack().iterations(material)
         row = {
             "tangent": tangent,
             "material": name,
-            "iterations per step": ", ".join(map(str, counts[: 1 if small else 4])) or "fails",
+            "iterations per step": ", ".join(map(str, counts)) or "fails",
         }
         rows.append(row)
         print(json.dumps(row, ensure_ascii=False), flush=True)
@@ -133,4 +133,4 @@ def main(small=False, write=False):
 
 
 if __name__ == "__main__":
-    main(small="--small" in sys.argv, write="--write" in sys.argv)
+    main(write="--write" in sys.argv)

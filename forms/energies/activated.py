@@ -9,10 +9,13 @@ from numpy.typing import ArrayLike
 
 from ..kinematics import Expr
 from ..operators.energy import SingularValueEnergy
+from .moduli import check_moduli
 from .principal import as_rigid_as_possible
 
 _improper = SingularValueEnergy(
-    lambda s1, s2, s3, mu: mu * ((s1 - 1) ** 2 + (s2 - 1) ** 2 + (s3 - 1) ** 2), improper=True
+    lambda s1, s2, s3, mu: mu * ((s1 - 1) ** 2 + (s2 - 1) ** 2 + (s3 - 1) ** 2),
+    improper=True,
+    check=check_moduli,
 )
 
 

@@ -7,6 +7,7 @@ outside UFL and stands in an expression until :func:`expanded` puts its coeffici
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import ufl
@@ -82,14 +83,43 @@ class _Expansion(MultiFunction):
         return o.value if isinstance(o, Pointwise) else o
 
 
+def nodes(expression: Expr) -> Iterator[Expr]:
+    """All nodes of a form or expression."""
+    if isinstance(expression, ufl.Form):
+        for integral in expression.integrals():
+            yield from unique_pre_traversal(integral.integrand())
+    else:
+        yield from unique_pre_traversal(ufl.as_ufl(expression))
+
+
 def contains(expression: Expr, kinds: Any) -> bool:
-    """Whether a form or expression has a node of one of the given UFL classes."""
-    parts = (
-        [i.integrand() for i in expression.integrals()]
-        if isinstance(expression, ufl.Form)
-        else [ufl.as_ufl(expression)]
-    )
-    return any(isinstance(e, kinds) for p in parts for e in unique_pre_traversal(p))
+    """Whether a form or expression has a node of one of the given classes."""
+    return any(isinstance(e, kinds) for e in nodes(expression))
+
+
+def _check_derivatives(expression: Expr) -> None:
+    """Refuse derivatives that UFL would take for 0, as it knows nothing of the operand inside.
+
+    The values and derivatives of operators are coefficients to UFL: constant in space, and
+    independent of every unknown that a derivative does not list beside them.
+    """
+    for e in nodes(expression):
+        if not isinstance(e, ufl.classes.Derivative):
+            continue
+        inside = [c for c in nodes(e.ufl_operands[0]) if isinstance(c, Dependent)]
+        if isinstance(e, _PENDING):
+            listed = e.ufl_operands[1].ufl_operands if isinstance(e, _PENDING[0]) else ()
+            if any(c not in listed for c in inside):
+                raise ValueError(
+                    "a form or stress of an energy in singular values is differentiated by "
+                    "forms.derivative, forms.tangent and forms.stress, not by ufl.derivative or "
+                    "ufl.diff, which would take it for a constant."
+                )
+        elif any(hasattr(c, "slope") for c in inside) or contains(e.ufl_operands[0], Pointwise):
+            raise ValueError(
+                "an energy in singular values, and its stress, have no derivative in space: "
+                "project them to a field first (forms.field)."
+            )
 
 
 def expanded(expression: Expr) -> Expr:
@@ -98,6 +128,7 @@ def expanded(expression: Expr) -> Expr:
     Derivatives by UFL that wait inside are taken first, so that they meet the function, which
     refuses them, and not its coefficient, whose derivative they would take for 0.
     """
+    _check_derivatives(expression)
     if not contains(expression, Pointwise):
         return expression
     if contains(expression, _PENDING):
@@ -144,10 +175,11 @@ def diff(expression: Expr, variable: Expr) -> Expr:
         Derivative, shape of the expression followed by that of the variable.
     """
     expression = expanded(expression)
-    total = ufl.diff(expression, variable)
+    total = expand_derivatives(ufl.diff(expression, variable))
     for jet in [c for c in extract_coefficients(expression) if hasattr(c, "slope")]:
         stand_in = ufl.variable(jet)
-        outer = ufl.diff(ufl.replace(expand_derivatives(expression), {jet: stand_in}), stand_in)
+        seen = ufl.replace(expand_derivatives(expression), {jet: stand_in})
+        outer = expand_derivatives(ufl.diff(seen, stand_in))
         inner = jet.slope(variable)
         shape = len(jet.ufl_shape)
         head = ufl.indices(len(outer.ufl_shape) - shape)

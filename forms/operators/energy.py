@@ -87,7 +87,12 @@ class SingularValueEnergy:
             )
         self.stretches, self.improper, self.clamp = n, improper, float(clamp)
         self._psi_hat, self._check = psi_hat, check
-        self._functions: dict[tuple, tuple[StretchFunction, list[Expr]]] = {}
+        kinds = {p.kind for p in given.parameters.values()}
+        taken = [name for name in names[n:] if name in ("F", "project")]
+        if not kinds <= {inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY}:
+            raise ValueError(f"{self.name} needs parameters with names, got {given}.")
+        if taken:
+            raise ValueError(f"a parameter of {self.name} may not be named {taken[0]}: rename it.")
         blank = inspect.Parameter.empty
         following = [p.replace(annotation=blank) for p in list(given.parameters.values())[n:]]
         argument = inspect.Parameter("F", inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -115,6 +120,11 @@ class SingularValueEnergy:
         for key, value in values.items():
             for number in value if isinstance(value, list | tuple) else (value,):
                 _check_scalar(number, key, self.name)
+        if not ufl.domain.extract_domains(X):
+            raise ValueError(
+                f"{self.name} needs an F of a mesh, got one of numbers only: for those there is "
+                f"{self.name}.evaluate."
+            )
         domains = {ufl.domain.extract_unique_domain(X)}
         for value in _flattened(values):
             domains.update(() if isinstance(value, Real) else ufl.domain.extract_domains(value))
@@ -167,7 +177,6 @@ class SingularValueEnergy:
         energy = copy.copy(self)
         psi_hat = self._psi_hat
         energy._psi_hat = lambda *s, **values: transform(lambda *q: psi_hat(*q, **values))(*s)
-        energy._functions = {}
         energy.name = energy.__name__ = energy.__qualname__ = name
         return energy
 
@@ -194,25 +203,25 @@ class SingularValueEnergy:
                     f"{self.name} needs parameters that are numbers or one per F, shape "
                     f"({len(array)},), got {column.shape}."
                 )
+            if not np.all(np.isfinite(column)):
+                raise ValueError(f"{self.name} needs finite parameters, got {column}.")
             columns.append(np.broadcast_to(column, len(array)))
         rows, cols = array.shape[1:]
         kind = Kind(function, (rows, cols), False, self.improper, self.clamp)
-        X = np.column_stack([array.reshape(len(array), -1), *columns])
+        X = np.column_stack([array.reshape(len(array), rows * cols), *columns])
         return evaluate(kind, X, levels, project)
 
     def _numeric(self, values: dict[str, Any]) -> tuple[StretchFunction, list[Expr]]:
         """psi_hat with stand-ins for its parameters, so that numbers need no compilation."""
-        form = tuple((k, len(v) if isinstance(v, list | tuple) else 0) for k, v in values.items())
-        if form not in self._functions:
-            stand_ins: list[Expr] = []
+        stand_ins: list[Expr] = []
 
-            def stand_in(_: Any) -> Expr:
-                stand_ins.append(ufl.Constant(NOWHERE))
-                return stand_ins[-1]
+        def stand_in(_: Any) -> Expr:
+            stand_ins.append(ufl.Constant(NOWHERE))
+            return stand_ins[-1]
 
-            bound = self._bound({k: _each(v, stand_in) for k, v in values.items()})
-            self._functions[form] = (StretchFunction(bound, self.stretches, self.name), stand_ins)
-        return self._functions[form]
+        # Made anew each time: what stands in the text of psi_hat may have changed.
+        bound = self._bound({k: _each(v, stand_in) for k, v in values.items()})
+        return StretchFunction(bound, self.stretches, self.name), stand_ins
 
     def _bound(self, values: dict[str, Any]) -> Callable[..., Expr]:
         return lambda *s: self._psi_hat(*s, **values)
@@ -270,6 +279,8 @@ def _check_scalar(value: Any, key: str, name: str) -> None:
 def _numbers(values: Any, what: str, name: str) -> Array:
     """Values as an array of numbers, or one sentence."""
     try:
+        if np.iscomplexobj(values):
+            raise TypeError
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(

@@ -14,7 +14,7 @@ from typing import Any
 import basix.ufl
 import numpy as np
 import ufl
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, extract_arguments
 from ufl.algorithms.expand_indices import expand_indices
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
@@ -97,6 +97,11 @@ def singular_value_function(
             f"the operand or a parameter of {function.name} contains an energy in singular values "
             "itself: only products and sums of them are possible."
         )
+    if extract_arguments(ufl.as_vector([X[0, 0], *function.parameters])) or extract_arguments(X):
+        raise ValueError(
+            f"the operand and the parameters of {function.name} are coefficients: a test or trial "
+            "function has no place in them."
+        )
     domain = ufl.domain.extract_unique_domain(X)
     kind = Kind(function, X.ufl_shape, is_plane(X), improper, clamp)
     entries = [X[i, j] for i, j in np.ndindex(X.ufl_shape)]
@@ -128,9 +133,10 @@ class Jet(ufl.Coefficient):
 
     def __init__(self, jets: Jets, level: int) -> None:
         domain = ufl.domain.extract_unique_domain(jets.packed)
-        # The rule's points are put in when the form is compiled.
+        # The rule's points are put in when the form is compiled. Of degree 1, because UFL takes the
+        # gradient of what has degree 0 for zero before anyone can object.
         element = basix.ufl.quadrature_element(
-            _cell(domain), value_shape=level * jets.kind.shape, degree=0
+            _cell(domain), value_shape=level * jets.kind.shape, degree=1
         )
         super().__init__(ufl.FunctionSpace(domain, element))
         self.jets, self.level = jets, level

@@ -23,9 +23,11 @@ from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
 from .. import _dolfinx, _jit
-from .chain import expanded
+from .chain import expanded, nodes
 from .jets import Jet, Jets
 from .library import KERNELS, MAX_OPERATORS, MAX_PIECES, describe, library, pointer
+
+STACK = 4 * 2**20  # bytes of a cell's values: they lie on the stack, of which most systems have 8
 
 _TYPES = {"cell": fem.IntegralType.cell, "exterior_facet": fem.IntegralType.exterior_facet}
 
@@ -45,6 +47,8 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
         RuntimeError: the compiler is missing or failed.
     """
     form = expand_derivatives(expanded(form))
+    if form.empty():
+        raise ValueError("the form is zero: does it depend on what it was differentiated by?")
     jets = [c for c in form.coefficients() if isinstance(c, Jet)]
     if not jets and not project:
         return _plain(form)
@@ -136,6 +140,13 @@ class _Lowering:
         self.pure: dict[tuple[str, int], bool] = {}
         # The stand-ins are created after the form's coefficients and so come after them.
         self.lowered = ufl.Form([self._replaced(integral) for integral in form.integrals()])
+        stand_ins = {s for rule in self.rules.values() for s in rule.stand_ins.values()}
+        needed = 8 * sum(map(_size, stand_ins))
+        if needed > STACK:
+            raise ValueError(
+                f"the form needs {needed / 2**20:.1f} MiB per cell for its energies in singular "
+                f"values, more than {STACK // 2**20}: lower the quadrature degree."
+            )
         self.lib, self.ffi = library(self.comm)
         self.ufcx, module = _jit.compiled(self.comm, self.lowered)
         self.keep: list[Any] = [self.lib, self.ffi, module]
@@ -144,11 +155,15 @@ class _Lowering:
             self.ufcx.original_coefficient_positions[i] for i in range(self.ufcx.num_coefficients)
         ]
         self.ordered = [everything[i] for i in positions]
-        stand_ins = {s for rule in self.rules.values() for s in rule.stand_ins.values()}
         self.packed = [c for c in self.ordered if c not in stand_ins]
         if self.ordered[: len(self.packed)] != self.packed:
             raise RuntimeError("FFCx put an operator's values before the form's coefficients.")
         self.constants = list(self.lowered.constants())
+        for c in [*self.packed, *self.constants]:
+            if not hasattr(c, "_cpp_object"):
+                raise ValueError(
+                    f"{c} has no value: use a Function or Constant of DOLFINx, not UFL's own."
+                )
         self.operands = [
             self._operand(jets, rule)
             for rule in self.rules.values()
@@ -175,6 +190,12 @@ class _Lowering:
         second = {jet: ufl.classes.Zero(jet.ufl_shape) for jet in jets}
         rest = ufl.replace(integral.integrand(), second)
         pure = all(jet.level == 2 for jet in jets) and isinstance(rest, ufl.classes.Zero)
+        # A factor might be negative: only where nothing but positive numbers can be one.
+        terminals = [e for e in nodes(integral.integrand()) if e._ufl_is_terminal_]
+        factors = (ufl.classes.Coefficient, ufl.classes.Constant, ufl.classes.GeometricQuantity)
+        pure &= not any(isinstance(e, factors) and e not in jets for e in terminals)
+        numbers = [float(e) for e in terminals if isinstance(e, ufl.classes.ScalarValue)]
+        pure &= all(value >= 0 for value in numbers)
         for number in _numbers(integral.subdomain_id()):
             key = (integral.integral_type(), number)
             self.pure[key] = self.pure.get(key, True) and pure
@@ -184,7 +205,9 @@ class _Lowering:
         functions = [c for jet in jets for c in extract_coefficients(jet.jets.packed)]
         degree = max((c.ufl_element().embedded_superdegree for c in functions), default=1)
         default = default_degree(integral.integral_type(), max(degree, 1))
-        return {"quadrature_degree": default, **integral.metadata()}
+        given = integral.metadata().get("quadrature_degree")
+        chosen = given if isinstance(given, int) and given >= 0 else default
+        return {**integral.metadata(), "quadrature_degree": chosen}
 
     def _rule(self, integral: Any) -> _Rule:
         kind, metadata = integral.integral_type(), integral.metadata()
@@ -236,10 +259,11 @@ class _Lowering:
         ]
         elsewhere = [i for i in self.lowered.integrals() if i.integral_type() not in _TYPES]
         if len(found) > KERNELS or elsewhere:
+            what = "projected form" if self.project else "form with energies in singular values"
             raise ValueError(
-                f"a form with energies in singular values may have {KERNELS} integrals, over cells "
-                f"and exterior facets, got {len(found)} of those and interior ones: use a "
-                "coefficient that varies by region instead of regions."
+                f"a {what} may have {KERNELS} integrals, over cells and exterior facets, got "
+                f"{len(found)} of those and {len(elsewhere)} others: use a coefficient that varies "
+                "by region instead of regions."
             )
         records = self.ffi.new("integral_t[]", len(found))
         for k, (kind, number, integral) in enumerate(found):
@@ -269,7 +293,13 @@ class _Lowering:
         return form
 
     def _subdomain(self, kind: str) -> Any:
-        return next((data for data in self.subdomains.get(kind, ()) if data is not None), None)
+        different = {id(d): d for d in self.subdomains.get(kind, ()) if d is not None}
+        if len(different) > 1:
+            raise ValueError(
+                f"the form has {len(different)} different sets of tags for its {kind} integrals: "
+                "take all measures from one body, or one ufl.Measure."
+            )
+        return next(iter(different.values()), None)
 
     def _all_constants(self) -> list[Any]:
         return [*self.constants, *(c for o in self.operands for c in o.constants)]

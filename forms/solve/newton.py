@@ -103,7 +103,7 @@ class Newton:
     thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
     energy or residual that is not finite. If lowering the energy fails (an indefinite tangent gives
     no descent) the same state goes on with the projected tangent, and if that fails with |R|; if
-    the multigrid preset fails, with MUMPS.
+    the multigrid preset fails, with MUMPS. Each of these runs may take snes_max_it iterations.
 
     Args:
         system: What to solve.
@@ -133,7 +133,7 @@ class Newton:
         if projection not in PROJECTIONS:
             raise ValueError(f"projection is one of {', '.join(PROJECTIONS)}, got {projection!r}.")
         if projection == "always":
-            system.check_projection()
+            system.prepare_projection()
         self.projection, self._projecting = projection, False
         self.system, self.ctol, self.prefix = system, ctol, prefix
         self.A, self.b = system.create_matrix(), system.create_vector()
@@ -220,9 +220,13 @@ class Newton:
 
     def _may_project(self) -> bool:
         """Whether the projected tangent is still to be tried."""
-        system = self.system
-        possible = system.minimization and system.is_displacement
-        return self.projection == "auto" and possible and not self._projecting
+        if self.projection != "auto" or self._projecting:
+            return False
+        try:
+            self.system.prepare_projection()
+        except ValueError:
+            return False
+        return True
 
     def _leave_multigrid(self) -> bool:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
