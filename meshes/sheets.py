@@ -136,7 +136,7 @@ def pillow(comm: MPI.Comm, side: float, h: float, order: int = 1) -> Body:
 def spherical_sheet(
     comm: MPI.Comm, radius: float, h: float, order: int = 1, part: str = "whole"
 ) -> Body:
-    """Sphere about the origin, or a part of it, as a surface; its normal points outward. Collective.
+    """Sphere about the origin, or a part of it, as a surface; normal outward. Collective.
 
     Boundaries: none of the whole sphere; z0 of a hemisphere (its rim in z = 0, the body in z >= 0);
     x0, y0, z0 of an octant (the planes of symmetry).  Region: body.
