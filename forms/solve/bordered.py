@@ -22,10 +22,13 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from tqdm import tqdm
+from ufl.algorithms import expand_derivatives
+from ufl.algorithms.analysis import extract_constants
 
 from .._parallel import bounding_box
 from ..assembly import System, system, with_quadrature
-from ..operators.chain import expanded
+from ..operators.chain import dependents, expanded
+from ..operators.jets import Jet
 from ..operators.lowering import compiled
 from ..supports import Support
 from ..variation import residual
@@ -253,11 +256,17 @@ class _Bordered:
 
 def _by_constant(form: ufl.Form, q: fem.Constant) -> ufl.Form:
     """Derivative of a form with respect to a scalar Constant."""
+    form = expand_derivatives(expanded(form))
+    if any(q in extract_constants(c.jets.packed) for c in dependents(form) if isinstance(c, Jet)):
+        raise ValueError(
+            "q stands inside the operand of an energy in singular values, whose derivative by it "
+            "is not available: let q be a load or a pressure."
+        )
     variable = ufl.variable(q)
-    form = expanded(form)
-    return ufl.Form(
-        [
-            i.reconstruct(integrand=ufl.diff(ufl.replace(i.integrand(), {q: variable}), variable))
-            for i in form.integrals()
-        ]
-    )
+    integrals = []
+    for integral in form.integrals():
+        seen = ufl.replace(integral.integrand(), {q: variable})
+        slope = expand_derivatives(ufl.diff(seen, variable))
+        if not isinstance(slope, ufl.classes.Zero):
+            integrals.append(integral.reconstruct(integrand=slope))
+    return ufl.Form(integrals)
