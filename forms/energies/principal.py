@@ -19,15 +19,13 @@ from .moduli import check_moduli
 
 
 def principal(
-    psi_hat: Callable[..., Expr] | None = None, *, improper: bool = False, clamp: float = 1e-6
+    psi_hat: Callable[..., Expr], *, improper: bool = False, clamp: float = 1e-6
 ) -> SingularValueEnergy:
     """The energy psi(F) = psi_hat(s1, s2, s3) of a function of the singular values.
 
     ``energy = principal(lambda s1, s2, s3: ...)``; then ``energy(F)`` in a potential. See
     :class:`forms.operators.SingularValueEnergy` for the arguments and for what may stand in it.
     """
-    if psi_hat is None:
-        return lambda function: principal(function, improper=improper, clamp=clamp)  # type: ignore
     return SingularValueEnergy(psi_hat, improper=improper, clamp=clamp)
 
 
