@@ -34,6 +34,11 @@ from .principal import (
     stable_neo_hookean_stretches,
     symmetric_dirichlet,
 )
+from .tension_field import (
+    neo_hookean_tension_field,
+    saint_venant_kirchhoff_tension_field,
+    tension_field,
+)
 from .transversely_isotropic import (
     guccione,
     transversely_isotropic_constants,
@@ -60,15 +65,18 @@ __all__ = [
     "neo_hookean_quadratic",
     "neo_hookean_sheet",
     "neo_hookean_stretches",
+    "neo_hookean_tension_field",
     "ogden",
     "principal",
     "saint_venant_kirchhoff",
     "saint_venant_kirchhoff_sheet",
     "saint_venant_kirchhoff_stretches",
+    "saint_venant_kirchhoff_tension_field",
     "sheet",
     "stable_neo_hookean",
     "stable_neo_hookean_stretches",
     "symmetric_dirichlet",
+    "tension_field",
     "transversely_isotropic_constants",
     "transversely_isotropic_constants_five",
     "transversely_isotropic_neo_hookean",

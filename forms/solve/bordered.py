@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Bordered systems: one scalar unknown beside the field, one scalar equation beside equilibrium.
 
-R(u, q) = 0,  g(u) = G
+R(u, q) = 0,  g(u, q) = G
 
-A pressure q that holds a volume G, a load factor that holds a displacement. The tangent K of u may
-be singular, as it is at a limit point; the bordered one [[K, R_q], [g_u, 0]] is regular there. Two
-solves with the factors of K solve it.
+A pressure q that holds a volume G, a load factor that holds a displacement. Two solves with the
+factors of K, the tangent of u, solve the bordered system [[K, R_q], [g_u, g_q]], which is regular
+at a limit point too. Where K has no stiffness in some direction, as a flat sheet, it is damped.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from ..supports import Support
 from ..variation import residual
 from . import linear
 from .continuation import Path, Step
+from .damping import Damping
 from .newton import Convergence, NotConverged
 
 MAX_HALVINGS = 8
@@ -66,7 +67,8 @@ def control(
         u: Unknown, starting from its present values, in equilibrium or near it.
         supports: Prescribed displacements.
         q: Scalar unknown; its value is the first guess.
-        functional: What is prescribed, a functional of u, as :func:`forms.enclosed_volume`.
+        functional: What is prescribed, a functional of u, as :func:`forms.enclosed_volume`, and
+            perhaps of q: ``q * enclosed_volume(u)`` is an enclosed ideal gas, p V = n R T.
         targets: Its values, one step each.
         rtol: Tolerance of |R_free| relative to the force level, and of the functional relative to
             its target (or to its change from the start, where the target is 0).
@@ -159,8 +161,10 @@ class _Bordered:
         self.g = compiled(functional)
         self.g_u = compiled(residual(functional, u))
         self.R_q = compiled(_by_constant(R, q))
+        g_q = _by_constant(functional, q)
+        self.g_q = None if g_q.empty() else compiled(g_q)
         self.A, self.b = self.system.create_matrix(), self.system.create_vector()
-        self.work = [self.b.duplicate() for _ in range(4)]
+        self.work = [self.b.duplicate() for _ in range(5)]
         self.ksp = PETSc.KSP().create(self.system.comm)
         self.ksp.setOptionsPrefix(PREFIX)
         options, preset = PETSc.Options(), linear.direct(self.system.symmetric)
@@ -173,16 +177,22 @@ class _Bordered:
         low, high = bounding_box(self.system.comm, u.function_space.mesh.geometry.x)
         self.size = float(np.linalg.norm(high - low))
         self.start = self.value()
+        self.damping: Damping | None = None
 
     def value(self) -> float:
         """The functional at u."""
         self.system.update_dependents()
-        return float(self.system.comm.allreduce(fem.assemble_scalar(self.g)))
+        return self._integral(self.g)
+
+    def _integral(self, form: fem.Form) -> float:
+        return float(self.system.comm.allreduce(fem.assemble_scalar(form)))
 
     def solve(self, target: float) -> Convergence:
         """Newton iterations from present values; u and q are left at the last ones."""
-        R, R_q, du, du_q = self.work
+        R, R_q = self.work[:2]
         scale = abs(target) or abs(target - self.start)
+        if self.damping is not None:
+            self.damping.restart()
         correction, level, residuals = np.inf, 0.0, []
         reason, converged, iteration = "the iterations were used up", False, 0
         for iteration in range(self.most + 1):
@@ -205,14 +215,12 @@ class _Bordered:
                     break
             if iteration == self.most:
                 break
-            self.system.tangent(self.A)
-            self.ksp.setOperators(self.A)
-            self.ksp.solve(R, du)
-            self.ksp.solve(R_q, du_q)
-            if self.ksp.getConvergedReason() < 0:
+            # A flat sheet's K is singular, and MUMPS need not notice.
+            dq = self._step(off, damped=iteration == 0)
+            if dq is None:
                 reason = "the linear solver failed"
                 break
-            correction = self._move(off, R, du, du_q)
+            correction = self._move(dq)
         return Convergence(
             converged=converged,
             reason=reason,
@@ -226,11 +234,43 @@ class _Bordered:
             residuals=tuple(residuals),
         )
 
-    def _move(self, off: float, g_u: PETSc.Vec, du: PETSc.Vec, du_q: PETSc.Vec) -> float:
-        """Change u by -(du + dq du_q), with g + g_u . change = 0, and q by dq; largest change."""
+    def _step(self, off: float, damped: bool) -> float | None:
+        """Change of q, and of u in du, with g + dg = 0; None if no solve succeeds.
+
+        u changes by -(K^-1 R + dq K^-1 R_q), so dg = -g_u . K^-1 R + dq (g_q - g_u . K^-1 R_q).
+
+        Where K is singular, which a step longer than the model shows too, the damping grows.
+        """
+        R, R_q, du, du_q, g_u = self.work
         self._assemble(self.g_u, g_u)
-        dq = (off - g_u.dot(du)) / g_u.dot(du_q)
-        du.axpy(dq, du_q)
+        g_q = self._integral(self.g_q) if self.g_q is not None else 0.0
+        while True:
+            self.system.tangent(self.A)
+            if damped:
+                self._damp()
+            self.ksp.setOperators(self.A)
+            self.ksp.solve(R, du)
+            if self.ksp.getConvergedReason() > 0:
+                self.ksp.solve(R_q, du_q)
+                dq = (off - g_u.dot(du)) / (g_u.dot(du_q) - g_q)
+                du.axpy(dq, du_q)
+                if du.norm(PETSc.NormType.INFINITY) <= self.size:
+                    return float(dq)
+            self.ksp.reset()  # MUMPS does not forget a failure
+            if damped and self.damping is not None and not self.damping.stiffen():
+                return None
+            damped = True
+
+    def _damp(self) -> None:
+        """Add the damping to the tangent, made at its first use."""
+        if self.damping is None:
+            free = np.setdiff1d(np.arange(self.b.local_size), self.system.constrained)
+            self.damping = Damping(self.system, self.A, free)
+        self.damping.add(self.A)
+
+    def _move(self, dq: float) -> float:
+        """Change u by -du and q by dq; largest change of u."""
+        du = self.work[2]
         x = self.system.u.x.petsc_vec
         x.axpy(-1, du)
         x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
@@ -250,6 +290,8 @@ class _Bordered:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
+        if self.damping is not None:
+            self.damping.destroy()
         for item in (self.ksp, self.A, self.b, *self.work):
             item.destroy()
 

@@ -23,12 +23,15 @@ from .._parallel import bounding_box
 from ..assembly import System
 from ..supports import is_mixed
 from . import linear
+from .damping import Damping
 
 EPS = float(np.finfo(float).eps)
 
 # Below this fraction of the force level the search goes by |R|: differences of the energy are
 # quadratic in |R| and drown in its rounding long before |R| reaches a tight tolerance.
-NEAR = 1e-3
+NEAR, NEAREST = 1e-3, 1e-7
+# Newton iterations of a run; a sheet of wrinkles that turns slack and taut takes its time.
+MOST, MOST_DAMPED, MOST_NEAR = 30, 200, 12
 CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
 PROJECTIONS = ("auto", "always", "never")
@@ -102,8 +105,10 @@ class Newton:
     Where the problem is a minimization the line search lowers the energy until |R_free| is a
     thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
     energy or residual that is not finite. If lowering the energy fails (an indefinite tangent gives
-    no descent) the same state goes on with the projected tangent, and if that fails with |R|; if
-    the multigrid preset fails, with MUMPS. Each of these runs may take snes_max_it iterations.
+    no descent, a singular one no direction) the same state goes on with the projected and damped
+    tangent (:class:`forms.solve.damping.Damping`), near the solution with the full one, and if that
+    fails with the projected one to the end; if the multigrid preset fails, with MUMPS. Each of
+    these runs may take snes_max_it iterations, damped ones MOST_DAMPED.
 
     Args:
         system: What to solve.
@@ -135,6 +140,7 @@ class Newton:
         if projection == "always":
             system.prepare_projection()
         self.projection, self._projecting = projection, False
+        self._damping: Damping | None = None
         self.system, self.ctol, self.prefix = system, ctol, prefix
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
@@ -161,7 +167,7 @@ class Newton:
         base = {
             "snes_type": "newtonls",
             "snes_linesearch_type": "bt",
-            "snes_max_it": "30",
+            "snes_max_it": str(MOST),
             "snes_divergence_tolerance": "-1",
         }
         if "pc_type" in self._user:  # another preconditioner has no use for this one's options
@@ -182,6 +188,7 @@ class Newton:
         snes.setFunction(self._residual, self.b.duplicate())
         snes.setJacobian(self._tangent, self.A)
         snes.setConvergenceTest(self._test)
+        snes.setLineSearchPreCheck(self._downhill)
         if ksp is not None:
             snes.setKSP(ksp)
         snes.setFromOptions()
@@ -206,13 +213,26 @@ class Newton:
         self._solved = True
         objective = system.minimization
         self._projecting = self.projection == "always"
+        self._near = NEAR
         outcome = self._run(objective)
         while True:
-            if outcome.code == -6 and objective and self._may_project():
+            code = outcome.code
+            if code == -5 and "snes_max_it" in self._user:
+                break
+            if code == -3:
+                self.snes.getKSP().reset()  # MUMPS does not forget a failure
+            if code == -3 and self._leave_multigrid():
+                pass
+            elif code == -3 and self._damping is not None and self._damping.stiffen():
+                pass
+            elif code in (-3, -5, -6) and objective and self._may_project():
                 self._projecting = True
-            elif outcome.code in (-6, NEAR_CODE) and objective:
+            elif code in (-6, NEAR_CODE) and objective:
                 objective = self._projecting = False
-            elif outcome.code != -3 or not self._leave_multigrid():
+            elif code in (-5, -6) and self._near > NEAREST and self._may_damp():
+                # |R| has local minima where sheets turn slack or taut: go on downhill, nearer.
+                objective, self._near = True, self._near / 100
+            else:
                 break
             outcome = self._run(objective, outcome)
         self._imbalance = None
@@ -227,6 +247,12 @@ class Newton:
         except ValueError:
             return False
         return True
+
+    def _may_damp(self) -> bool:
+        """Whether the steps are damped, from now on if need be."""
+        if self._damping is None and self._may_project():
+            self._damp()
+        return self._damping is not None
 
     def _leave_multigrid(self) -> bool:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
@@ -262,14 +288,27 @@ class Newton:
         self.b.pointwiseMult(self.b, self._scale)
         self.b.scale(-1)
         self.b.array[system.constrained] = jump.array_r[system.constrained]
-        self._assemble_tangent()
-        du, ksp = self.b.duplicate(), self.snes.getKSP()
-        ksp.setOperators(self.A)
-        ksp.solve(self.b, du)
-        self.x.axpy(1, du)
+        self._carry(self.b)
         system.prescribe(self.x)
         self._put(self.x)
         jump.destroy()
+
+    def _carry(self, b: PETSc.Vec) -> None:
+        """Move x by the tangent solve for b, damped where that is singular; else not at all."""
+        du, ksp, damped = b.duplicate(), self.snes.getKSP(), self._damping is not None
+        while True:
+            self._assemble_tangent()
+            ksp.setOperators(self.A)
+            ksp.solve(b, du)
+            if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
+                self.x.axpy(1, du)
+                break
+            ksp.reset()  # MUMPS does not forget a failure
+            if not self._may_damp():
+                break
+            if damped and self._damping is not None and not self._damping.stiffen():
+                break
+            damped = True
         du.destroy()
 
     def measure_imbalance(self) -> None:
@@ -288,8 +327,8 @@ class Newton:
         """
         system = self.system
         system.tangent(self.A)
-        free = np.setdiff1d(self._displacements, system.constrained)
-        diagonal = linear.typical_diagonal(self.A, free)
+        self._free = np.setdiff1d(self._displacements, system.constrained)
+        diagonal = linear.typical_diagonal(self.A, self._free)
         self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
         mesh = system.u.function_space.mesh
         if is_mixed(system.u.function_space) and diagonal > 0:
@@ -301,8 +340,17 @@ class Newton:
 
     def _assemble_tangent(self) -> None:
         self.system.tangent(self.A, self._projecting)
+        if self._projecting and self._damping is None:
+            self._damp()
+        if self._damping is not None:
+            self._damping.add(self.A)
         if is_mixed(self.system.u.function_space):
             self.A.diagonalScale(self._scale, self._scale)
+
+    def _damp(self) -> None:
+        """Damp the tangent from now on; compared with the assembled one, or with the forces."""
+        force = self._imbalance or self._reactions or 1.0
+        self._damping = Damping(self.system, self.A, self._free, force / self._size)
 
     def destroy(self) -> None:
         """Free the PETSc objects (their callbacks refer to this one) and take the options back.
@@ -319,6 +367,8 @@ class Newton:
             )
         for key in self._presets | set(self._user):
             PETSc.Options().delValue(self.prefix + key)
+        if self._damping is not None:
+            self._damping.destroy()
         vectors = (self.b, self.x, self._x_before, self._scale)
         for item in (self.snes, self._by_residual, self.A, *vectors):
             item.destroy()
@@ -326,9 +376,13 @@ class Newton:
     def _run(self, objective: bool, before: Convergence | None = None) -> Convergence:
         """One SNES solve from self.x, its counts added to those of an earlier one."""
         snes = self.snes if objective else self._by_residual
+        self._energetic, self._resumed = objective, before is not None
+        damped = self._projecting or self._damping is not None
+        if "snes_max_it" not in self._user:
+            most = MOST if not damped else MOST_DAMPED if objective else MOST_NEAR
+            snes.setTolerances(max_it=most)
         self.x.copy(self._x_before)
-        self._correction, self._energetic = np.inf, objective
-        self._resumed = before is not None
+        self._correction = np.inf
         self._history: list[float] = []
         snes.solve(None, self.x)
         self._put(self.x)
@@ -378,6 +432,18 @@ class Newton:
         self._put(x)
         self._assemble_tangent()
 
+    def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
+        """Stiffen the damping until the step lowers the energy; whether the step was changed."""
+        changed = False
+        if self._damping is None or not self._energetic:
+            return changed
+        force = self.snes.getFunction()[0]
+        while not force.dot(step) > 0 and self._damping.stiffen():
+            self._assemble_tangent()
+            self.snes.getKSP().solve(force, step)
+            changed = True
+        return changed
+
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         fnorm = norms[2]
         self._history.append(float(fnorm))
@@ -388,6 +454,10 @@ class Newton:
             change = np.abs(x.array_r - self._x_before.array_r)[self._displacements]
             largest = float(change.max(initial=0.0))
             self._correction = self.system.comm.allreduce(largest, MPI.MAX)
+            if self._energetic and self._damping is not None:
+                self._x_before.axpy(-1, x)
+                step = snes.getSolutionUpdate().norm()
+                self._damping.after(self._x_before.norm() / step if step else 1.0)
         x.copy(self._x_before)
         level = max(self._reactions, self._imbalance or 0.0)
         self._last = (fnorm, level)
@@ -396,7 +466,7 @@ class Newton:
         settled = first or self._correction <= self.ctol * self._size
         if small and settled:
             return CONVERGED_CODE
-        if self._energetic and fnorm <= NEAR * level:
+        if self._energetic and fnorm <= self._near * level:
             return NEAR_CODE
         return -5 if iteration >= snes.getTolerances()[3] else 0
 
