@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """variform: from an energy density in UFL to residual, tangent and solution by PETSc SNES."""
 
-from . import energies, stress
+from . import _together, energies, stress
 from .assembly import System, system
 from .condensation import plane_stress
 from .fields import field
@@ -43,13 +43,27 @@ from .results import (
     smallest_volume_ratio,
     volume,
 )
-from .solve import Convergence, Newton, NotConverged, Path, Step, control, follow, solve
+from .solve import (
+    Convergence,
+    Newton,
+    NotConverged,
+    Path,
+    Step,
+    arc_length,
+    control,
+    follow,
+    lowest_modes,
+    negative_eigenvalues,
+    solve,
+)
+from .solve.checkpoint import Checkpoint
 from .supports import (
     Support,
     clamp,
     displacement,
     displacement_pressure,
     load_factor,
+    pin,
     prescribe,
     roller,
     rotate,
@@ -64,6 +78,8 @@ from .variation import (
     spatial_virtual_work,
     tangent,
 )
+
+_together.end_together()
 
 __all__ = [  # in the order a user meets them
     "load_factor",
@@ -105,6 +121,7 @@ __all__ = [  # in the order a user meets them
     "translate",
     "rotate",
     "prescribe",
+    "pin",
     "derivative",
     "residual",
     "tangent",
@@ -118,7 +135,11 @@ __all__ = [  # in the order a user meets them
     "system",
     "solve",
     "follow",
+    "Checkpoint",
+    "arc_length",
     "control",
+    "negative_eigenvalues",
+    "lowest_modes",
     "Path",
     "Step",
     "Newton",

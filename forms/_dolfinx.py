@@ -7,6 +7,7 @@ the release that made it; delete the older branch when that release is no longer
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import dolfinx
@@ -21,6 +22,8 @@ if not (0, 9) <= VERSION < (0, 12):
         f"variform needs DOLFINx 0.9 to 0.11, found {dolfinx.__version__}: "
         "run it through docker/enter, or install one of these releases."
     )
+# FFCx 0.9 sends Python's warnings, ours with them, to a logger that nobody reads.
+logging.captureWarnings(False)
 LATER = VERSION >= (0, 10)
 CUSTOM_DATA = LATER  # FFCx kernels take a pointer more
 
@@ -53,6 +56,17 @@ def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
     """Nodes of each cell's geometry, shape (cells, nodes) (0.11: one array per cell type)."""
     geometry = mesh.geometry
     return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+
+
+def original_cells(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64] | None:
+    """Numbers of the owned cells as they were input; None for a submesh, which has none."""
+    topology = mesh.topology
+    try:
+        numbers = np.asarray(topology.original_cell_index)
+    except RuntimeError:
+        return None
+    owned = topology.index_map(topology.dim).size_local
+    return numbers[:owned] if numbers.size >= owned else None
 
 
 def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -90,6 +91,12 @@ class System:
         """Whether the unknown is a vector with one component per dimension."""
         V = self.u.function_space
         return not is_mixed(V) and V.num_sub_spaces == V.mesh.geometry.dim
+
+    @cached_property
+    def pressures(self) -> int:
+        """Degrees of freedom of the pressure on all ranks; 0 where the unknown is none."""
+        V = self.u.function_space
+        return _dolfinx.collapse(V.sub(1))[0].dofmap.index_map.size_global if is_mixed(V) else 0
 
     @property
     def size(self) -> int:
@@ -213,7 +220,7 @@ def system(
         ValueError: a form of the wrong kind, one that does not contain u or contains a part of it
             from w.split(), or supports of another unknown.
     """
-    degree = _displacement_degree(_checks.function(u, "a solve"))
+    degree = displacement_degree(_checks.function(u, "a solve"))
     supports = _listed(supports, u)
     _check_parts(potential, u)
     potential = with_quadrature(potential, degree)
@@ -301,7 +308,8 @@ def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
     return ufl.Form(integrals)
 
 
-def _displacement_degree(u: fem.Function) -> int:
+def displacement_degree(u: fem.Function) -> int:
+    """Degree of an unknown's displacement."""
     V = u.function_space
     element = V.sub(0).collapse()[0].ufl_element() if is_mixed(V) else V.ufl_element()
     return max(1, element.embedded_superdegree)

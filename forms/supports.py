@@ -211,6 +211,51 @@ def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) ->
     )
 
 
+def pin(u: fem.Function, point: Sequence[float], axes: Sequence[int] | None = None) -> Support:
+    """No displacement of one node. Collective.
+
+    Takes rigid motions from a body that nothing else holds, or lets a face turn about a point. In
+    the plane and in space a single node carries no force without a peak of stress about it.
+
+    Args:
+        u: Displacement unknown, or a mixed one whose first part it is.
+        point: Reference position of a node [m].
+        axes: Components that are held, as (0, 2); by default all.
+
+    Raises:
+        ValueError: no node at the point, or axes that the body does not have.
+    """
+    dim, V = _space_dimension(u), u.function_space
+    x = np.zeros(3)
+    if np.shape(point) not in ((dim,), (3,)) or not np.all(np.isfinite(point)):
+        raise ValueError(f"pin needs a point of {dim} finite coordinates, got {point}.")
+    x[: len(point)] = point
+    axes = range(dim) if axes is None else axes
+    if not len(axes) or any(axis not in range(dim) for axis in axes):
+        raise ValueError(f"pin needs axes between 0 and {dim - 1}, got {list(axes)}.")
+    view = V.sub(0) if is_mixed(V) else V
+    spaces = [view.sub(axis).collapse()[0] for axis in axes]
+    nodes = spaces[0].tabulate_dof_coordinates()
+    off = np.linalg.norm(nodes - x, axis=1)
+    own = int(off.argmin()) if off.size else 0
+    nearest = min(V.mesh.comm.allgather((float(off[own]), *nodes[own]) if off.size else (np.inf,)))
+    low, high = bounding_box(V.mesh.comm, V.mesh.geometry.x)
+    if not nearest[0] <= 1e-6 * np.linalg.norm(high - low):
+        raise ValueError(
+            f"pin needs a point where the unknown has a node, got {np.asarray(point).tolist()}; "
+            f"the nearest node is at {np.round(nearest[1:], 6).tolist()}."
+        )
+    parts, at = [], np.array(nearest[1:])[:, None]
+    for axis, W in zip(axes, spaces, strict=True):
+        dofs = fem.locate_dofs_geometrical(
+            (view.sub(axis), W), lambda x: np.linalg.norm(x - at, axis=0) <= 1e-9 * abs(high).max()
+        )
+        g = fem.Function(W, name="pinned")
+        bc = fem.dirichletbc(g, dofs, view.sub(axis))
+        parts.append(Prescribed(bc, g, None, np.empty(0, np.int32)))
+    return Support(V, tuple(parts))
+
+
 def _check_value(value: Expr) -> None:
     if not isinstance(value, ufl.core.expr.Expr) or value.ufl_shape != ():
         raise ValueError(

@@ -106,11 +106,30 @@ def test_balloon(demo):
     assert numbers["error"] < 1e-3
 
 
+@pytest.mark.slow
+def test_sheet_or_solid(demo):
+    """The sheet is 0.19 % off the solid at a tenth of its time or less; on two ranks alike."""
+    numbers, printed = demo("sheet_or_solid")
+    sheets, solids = np.array(numbers["sheets"]), np.array(numbers["solids"])
+    assert numbers["error"] == pytest.approx(1.9e-3, abs=1e-4) and "0.19%" in printed
+    assert sheets[3, 2] < 0.1 * solids[2, 2]
+    assert np.all(np.diff(sheets[:, 1]) < 0) and np.all(np.diff(solids[:, 1]) > 0)
+    two, _ = demo("sheet_or_solid", ranks=2)
+    assert np.array(two["sheets"])[:, :2] == pytest.approx(sheets[:, :2], rel=1e-10)
+    assert np.array(two["solids"])[:, :2] == pytest.approx(solids[:, :2], rel=1e-10)
+
+
+def test_airbag(demo):
+    """The cushion's center rises by 217 mm, 3 %, on every mesh."""
+    numbers, _ = demo("airbag", "study.png")
+    assert list(numbers["rise"].values()) == pytest.approx([0.217] * 6, rel=0.03)
+
+
 def test_benchmark_of_operators_runs(run, tmp_path):
     """The rows of the full benchmark, at toy size: every way is assembled and timed."""
     done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(rows) == 29 and all(row.get("ratio", 1) > 0 for row in rows)
+    assert len(rows) == 35 and all(row.get("ratio", 1) > 0 for row in rows)
     assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
 
 

@@ -55,6 +55,21 @@ def test_a_failed_solve_gives_the_old_state_back():
     assert np.all(u.x.array == 0.001)
 
 
+def test_a_start_off_its_supports_by_rounding_is_no_jump():
+    """1e-14 off, the solve goes through the line search as it does from the supports exactly."""
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [forms.clamp(u, at_plane(mesh, 0, 0.0))]
+    load = forms.dead_traction(u, ufl.as_vector((-0.6, 0.2)), right_edge(mesh))
+    iterations = []
+    for start in (0.0, 1e-14):
+        u.x.array[:] = start
+        path = forms.solve(psi + load, u, supports)
+        iterations.append(path.steps[0].convergence.residuals[0])
+    assert iterations[1] == pytest.approx(iterations[0], rel=1e-6)
+
+
 def right_edge(mesh):
     """Measure of the edge x = 1."""
     facets = at_plane(mesh, 0, 1.0)
@@ -146,7 +161,7 @@ def test_linear_solvers_agree(linear):
     options = linear_presets.multigrid() if linear == "gamg" else {}
     path = forms.solve(psi, u, supports, options=options, prefix=f"{linear}_", rtol=1e-12)
     ksp_its = path.steps[0].convergence.linear_iterations
-    assert (ksp_its > 3 * path.steps[0].convergence.iterations) == (linear == "gamg")
+    assert (ksp_its > 2 * path.steps[0].convergence.iterations) == (linear == "gamg")
     assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
 
 

@@ -186,7 +186,8 @@ try:
     elif what == "name":
         body.facets("lfet")
     elif what == "diverges":
-        forms.follow(psi * ufl.dx, u, supports, t, min_step=0.05, progress=False)
+        forms.follow(psi * ufl.dx, u, supports, t, min_step=0.05, progress=False,
+                     options={"snes_max_it": 2})
 except Exception as error:
     sys.stdout.write(f"{type(error).__name__} {error}\\n")  # one write, so that ranks do not mix
 else:
@@ -224,3 +225,31 @@ def test_command_line_wins(run, tmp_path):
     assert "no error" in run(file, "folder", cwd=tmp_path).stdout
     stopped = run(file, "folder", "-variform_snes_max_it", "1", cwd=tmp_path).stdout
     assert "stopped after 1 iterations (the iterations were used up)" in stopped
+
+
+ALONE = """
+import sys
+from mpi4py import MPI
+import forms
+comm = MPI.COMM_WORLD
+if comm.rank == comm.size - 1 or sys.argv[1] == "all":
+    raise ValueError("the mesh is too coarse")
+comm.barrier()
+print("went on")
+"""
+
+
+@pytest.mark.parametrize("who", ["one", "all"])
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_an_exception_of_one_rank_ends_all(who, ranks, run, tmp_path):
+    """Within seconds, with the message; where all raise, nobody has to be killed."""
+    file = tmp_path / "script.py"
+    file.write_text(ALONE)
+    start = time.monotonic()
+    done = run(file, who, ranks=ranks, cwd=tmp_path, check=False)
+    assert done.returncode != 0 and time.monotonic() - start < 30
+    assert "went on" not in done.stdout
+    count = ranks if who == "all" else 1
+    assert done.stderr.count("ValueError: the mesh is too coarse") == count
+    assert f"rank {ranks - 1} of {ranks} ended" in done.stderr
+    assert ("MPI_ABORT was invoked" in done.stderr) == (who == "one")

@@ -214,6 +214,43 @@ def test_a_balloon_filled_with_gas():
     assert found.argmax() == 1
 
 
+def test_the_stability_of_a_whole_balloon():
+    """Stable until its limit point; past it one negative eigenvalue: stable at a held volume only.
+
+    The tangent restricted to changes that keep the volume is positive definite where the whole has
+    one negative eigenvalue and its pressure falls with the volume.
+    """
+    body = meshes.spherical_sheet(MPI.COMM_SELF, 1.0, 0.5, 2)
+    u, p = forms.displacement(body, 2), fem.Constant(body.mesh, 0.0)
+    volume = forms.enclosed_volume(u)
+    psi = energies.neo_hookean_sheet(forms.membrane_gradient(u), 1.0)
+    nodes = u.function_space.tabulate_dof_coordinates()
+
+    def pin(point, axes):
+        return forms.pin(u, nodes[np.linalg.norm(nodes - point, axis=1).argmin()], axes)
+
+    held = [pin((0, 0, 1), (0, 1, 2)), pin((0, 0, -1), (0, 1)), pin((1, 0, 0), (1,))]
+    stretches = np.array([1.2, 1.36, 1.41, 1.8, 2.4])
+    path = forms.control(
+        psi * ufl.dx - p * volume,
+        u,
+        held,
+        p,
+        volume,
+        forms.integral(volume) * stretches**3,
+        record={"unstable": forms.negative_eigenvalues},
+        progress=False,
+    )
+    loads = [step.load for step in path.steps]
+    assert loads == pytest.approx(2 * (1 / stretches - stretches**-7), rel=2e-3)
+    assert list(path.record("unstable")) == [0, 0, 1, 1, 1]
+    values, modes = forms.lowest_modes(path, 2)
+    assert values[0] < 0 < values[1]
+    # The one unstable mode is the sphere's own growth, from the pole that is held.
+    outward = (modes[0].x.array.reshape(-1, 3) * nodes).sum(axis=1)
+    assert outward.min() * np.sign(outward.sum()) > -1e-3 * np.abs(outward).max()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

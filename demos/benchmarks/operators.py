@@ -10,6 +10,7 @@ import csv
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
@@ -22,6 +23,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 
 import forms
+import meshes
 from forms import energies
 from forms.operators.lowering import compiled
 
@@ -167,6 +169,27 @@ def cases(order, degree, n):
     return cells, {"residual": residuals, "tangent, AIJ": aij, "tangent, CSR": fast}
 
 
+def sheets(order, n):
+    """Tangents of a bulged sheet by plain UFL and by operators, at the default quadrature."""
+    body = meshes.square(MPI.COMM_SELF, 1.0, 1 / n)
+    u = forms.displacement(body, order)
+    u.interpolate(lambda x: 0.1 * np.array([x[0], 2 * x[1], np.sin(3 * x[0])]))
+    F = forms.membrane_gradient(u)
+    same = energies.principal(lambda s1, s2: (s1**2 + s2**2 + 1 / (s1 * s2) ** 2 - 3) / 2)
+    systems = {
+        "neo_hookean_sheet, plain UFL": forms.system(
+            energies.neo_hookean_sheet(F, 1.0) * ufl.dx, u
+        ),
+        "the same by principal": forms.system(same(F) * ufl.dx, u),
+        "neo_hookean_tension_field": forms.system(
+            energies.neo_hookean_tension_field(F, 1.0) * ufl.dx, u
+        ),
+    }
+    A = next(iter(systems.values())).create_matrix()
+    work = {name: partial(system.tangent, A) for name, system in systems.items()}
+    return body.mesh.topology.index_map(2).size_local, work
+
+
 def points(n):
     """Microseconds per point of the compiled kernels at random deformed states."""
     F = np.eye(3) + 0.1 * np.random.default_rng(0).normal(size=(n, 3, 3))
@@ -200,6 +223,15 @@ def main(small=False):
                 }
                 rows.append(row)
                 print(json.dumps(row), flush=True)
+    for order in (1, 2):
+        cells, variants = sheets(order, 5 if small else 100)
+        times = median_times(variants, repeats)
+        base = times["neo_hookean_sheet, plain UFL"]
+        for name, t in times.items():
+            row = {"element": f"P{order}", "what": "sheet, tangent, AIJ", "energy": name}
+            row |= {"us per cell": round(1e6 * t / cells, 3), "ratio": round(t / base, 2)}
+            rows.append(row)
+            print(json.dumps(row), flush=True)
     for name, t in points(1_000 if small else 200_000).items():
         row = {"what": f"point kernel, {name}", "energy": "fixed_corotated"}
         row |= {"us per point": round(t, 3)}

@@ -1,8 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""Solving: Newton by PETSc SNES, linear presets, load paths, controlled paths."""
+"""Solving: Newton by PETSc SNES, linear presets, load paths, arc length, stability."""
 
-from .bordered import control
+from .arclength import arc_length
 from .continuation import Path, Step, follow, solve
+from .control import control
 from .newton import Convergence, Newton, NotConverged
+from .stability import lowest_modes, negative_eigenvalues
 
-__all__ = ["Convergence", "Newton", "NotConverged", "Path", "Step", "control", "follow", "solve"]
+__all__ = [
+    "Convergence",
+    "Newton",
+    "NotConverged",
+    "Path",
+    "Step",
+    "arc_length",
+    "control",
+    "follow",
+    "lowest_modes",
+    "negative_eigenvalues",
+    "solve",
+]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from ..assembly import System, system
 from ..supports import Support
+from .checkpoint import Archive, Checkpoint, Saved, memory, recall
 from .newton import Convergence, Newton, NotConverged
 
 EASY = 5  # Newton iterations up to which the next load step grows
@@ -42,6 +43,7 @@ class Path:
         reason: One sentence on why the path ended.
         completed: Whether the last load asked for was reached.
         seconds: Wall time of the path [s].
+        resumed: Load of the checkpoint that the path was taken up from, if any.
     """
 
     u: fem.Function
@@ -51,6 +53,7 @@ class Path:
     reason: str = ""
     completed: bool = False
     seconds: float = 0.0
+    resumed: float | None = None
 
     @property
     def load(self) -> float:
@@ -143,6 +146,7 @@ def follow(
     projection: str = "auto",
     record: Mapping[str, Callable[[System], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
+    checkpoint: Checkpoint | None = None,
     progress: bool = True,
 ) -> Path:
     """Follow the solution while the load factor goes from its present value to a last one.
@@ -168,6 +172,8 @@ def follow(
             see :class:`Newton`.
         record: Functions of the system, evaluated after each step and kept in the path; collective.
         on_step: Called with the path after each step, as a :class:`forms.VTX` writer.
+        checkpoint: Where the path is saved, and taken up when the script is started again; see
+            :class:`forms.Checkpoint`.
         progress: Show a progress bar on rank 0.
 
     Returns:
@@ -176,8 +182,9 @@ def follow(
     Raises:
         NotConverged: the step became smaller than min_step; u and t hold the last converged state,
             and the exception's ``path`` the steps so far.
-        ValueError: forms or supports of the wrong kind, steps that are not positive, or nothing
-            that depends on t.
+        ValueError: forms or supports of the wrong kind, steps that are not positive, nothing that
+            depends on t, or a checkpoint of another path.
+        OSError: checkpoints cannot be written from the start.
     """
     if not isinstance(t, fem.Constant):
         raise ValueError(
@@ -190,6 +197,7 @@ def follow(
         raise ValueError(
             "nothing depends on the load factor t: write a load or a support with it, or use solve."
         )
+    archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
     newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
     bar = tqdm(
@@ -201,7 +209,23 @@ def follow(
     )
     before, reached = u.x.array.copy(), float(t.value)
     earlier: tuple[np.ndarray, float] | None = None
+
+    def save(now: bool) -> None:
+        path.seconds = time.perf_counter() - start
+        if archive is not None and earlier is not None:
+            control = {**vars(walk), "length": earlier[1], "newton": memory(newton)}
+            counts = {"refused": path.refused, "seconds": path.seconds}
+            archive.write((before, earlier[0]), path.steps, {**control, **counts}, now)
+
     try:
+        if archive is not None and (saved := archive.read()) is not None:
+            earlier = _resume(saved, path, walk, newton, t)
+            before, reached = u.x.array.copy(), float(t.value)
+            start -= path.seconds
+            bar.update(walk.fraction)
+            if problem.comm.rank == 0:
+                resumed = f"Resumed at load factor {reached:.6g} from {archive.folder}."
+                bar.write(resumed, sys.stderr)
         while not walk.finished:
             t.value = walk.aim()
             if earlier is not None:
@@ -216,11 +240,13 @@ def follow(
                 bar.set_postfix_str(f"t = {reached:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
                     on_step(path)
+                save(now=walk.finished)
                 continue
             path.refused += 1
             u.x.array[:] = before
             t.value = reached
             if not walk.halve():
+                save(now=True)
                 raise _failure(
                     path,
                     f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
@@ -303,13 +329,51 @@ class _Walk:
         self.ahead /= 2
         return self.ahead >= self.least
 
+    def resume(self, saved: Mapping[str, float]) -> None:
+        """Go on from the numbers of an earlier walk; refuses one of another way."""
+        if saved["begin"] != self.begin:
+            raise ValueError(
+                f"the checkpoint's path began at load factor {saved['begin']:.6g}, this one begins "
+                f"at {self.begin:.6g}: give each path a folder of its own."
+            )
+        way, done = self.end - self.begin, saved["done"] * np.sign(saved["end"] - self.begin)
+        if not 0 < done / way <= 1 + 1e-9:
+            raise ValueError(
+                f"the checkpoint is at load factor {self.begin + done:.6g}, which is not on the "
+                f"way from {self.begin:.6g} to {self.end:.6g}: start anew, or go further."
+            )
+        self.done, self.ahead = saved["done"], min(max(saved["ahead"], self.least), self.most)
+
 
 def _attempt(newton: Newton) -> Convergence:
     """One Newton solve at the present load, boundary values carried along first."""
+    _predict(newton)
+    return newton.solve()
+
+
+def _predict(newton: Newton) -> None:
     for support in newton.system.supports:
         support.update()
     newton.predict()
-    return newton.solve()
+
+
+def _resume(
+    saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Constant
+) -> tuple[np.ndarray, float]:
+    """Take a path up where a checkpoint holds it; the state before, and the step from there."""
+    first = replace(walk).aim()
+    walk.resume(saved.control)
+    if not walk.finished:
+        # Newton takes its reference levels from the first step: it has to see that one again.
+        t.value = first
+        _predict(newton)
+        recall(newton, saved.control["newton"])
+    path.steps += [Step(*step) for step in saved.steps]
+    path.refused, path.seconds = saved.control["refused"], saved.control["seconds"]
+    path.resumed = path.load
+    path.u.x.array[:], before = saved.states
+    t.value = path.load
+    return before, saved.control["length"]
 
 
 def _extrapolate(problem: System, earlier: np.ndarray, ratio: float) -> None:

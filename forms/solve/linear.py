@@ -8,7 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from ..assembly import System
+from ..assembly import System, displacement_degree
 
 # Measured with OpenBLAS: in 3D a factorization is faster than multigrid up to 10-20 thousand
 # degrees of freedom, in the plane at every size tried (100 thousand).
@@ -22,15 +22,23 @@ def direct(symmetric: bool) -> dict[str, str]:
         "pc_type": "cholesky" if symmetric else "lu",
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_icntl_14": "60",
+        # The root of the elimination tree is not given to ScaLAPACK, so that pivots are counted.
+        "mat_mumps_icntl_13": "1",
     }
 
 
-def multigrid() -> dict[str, str]:
-    """CG with smoothed aggregation on the rigid body modes, Gauss-Seidel smoothing."""
+def multigrid(degree: int = 1) -> dict[str, str]:
+    """CG with multigrid: by aggregation, for elements of degree 2 and 3 over the order first.
+
+    Newton's method is content with a direction that is 1 % off.
+    """
+    krylov = {"ksp_type": "cg", "ksp_rtol": "1e-2", "ksp_max_it": "200"}
+    return {**krylov, **({"pc_type": "mg"} if degree > 1 else aggregation())}
+
+
+def aggregation() -> dict[str, str]:
+    """Smoothed aggregation, with Gauss-Seidel smoothing."""
     return {
-        "ksp_type": "cg",
-        "ksp_rtol": "1e-5",
-        "ksp_max_it": "500",
         "pc_type": "gamg",
         "mg_levels_ksp_type": "richardson",
         "mg_levels_ksp_max_it": "1",
@@ -41,12 +49,14 @@ def multigrid() -> dict[str, str]:
 def preset(system: System) -> dict[str, str]:
     """Options for a system's tangent.
 
-    Multigrid for symmetric displacement problems in 3D above 20 thousand degrees of freedom,
-    else MUMPS.
+    Multigrid for symmetric displacement problems of bodies in 3D above 20 thousand degrees of
+    freedom (10 thousand for elements of degree 2 or 3), else MUMPS.
     """
-    dim = system.u.function_space.mesh.geometry.dim
-    if dim == 3 and system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
-        return multigrid()
+    degree = displacement_degree(system.u)
+    solid = system.u.function_space.mesh.topology.dim == 3
+    most = DIRECT_UP_TO if degree == 1 else DIRECT_UP_TO // 2
+    if solid and system.minimization and system.is_displacement and system.size > most:
+        return multigrid(degree)
     return direct(system.symmetric)
 
 

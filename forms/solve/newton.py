@@ -3,10 +3,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import shlex
-import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,16 +12,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .. import _dolfinx
-from .._parallel import bounding_box
 from ..assembly import System
-from ..supports import is_mixed
 from . import linear
 from .damping import Damping
-
-EPS = float(np.finfo(float).eps)
+from .multigrid import Kept
+from .options import given, was_used
+from .scaling import EPS, Scaled
 
 # Below this fraction of the force level the search goes by |R|: differences of the energy are
 # quadratic in |R| and drown in its rounding long before |R| reaches a tight tolerance.
@@ -70,6 +63,8 @@ class Convergence:
         force_level: Force [N] that the residual is compared with.
         correction: Largest last change of a displacement component [m].
         residuals: Norm of the out-of-balance forces at the start and after each iteration [N].
+        negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
+            is stable; None where it is not known (multigrid, LU, projected, damped tangents).
     """
 
     converged: bool
@@ -82,6 +77,7 @@ class Convergence:
     force_level: float
     correction: float
     residuals: tuple[float, ...] = ()
+    negative: int | None = None
 
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
@@ -145,21 +141,18 @@ class Newton:
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
         self._x_before = self.b.duplicate()
-        self._user = {**(options or {}), **_command_line(prefix)}
+        self._user = {**(options or {}), **given(prefix)}
         self.rtol = float(self._user.get("snes_rtol", rtol))
         self.atol = float(self._user.get("snes_atol", 0.0))
         self._preset = linear.preset(system)
         self._presets: set[str] = set()
         self._solved = False
         self._imbalance: float | None = None
-        self._reactions, self._rounding, self._correction = 0.0, 0.0, np.inf
+        self._reactions, self._correction = 0.0, np.inf
         self._last = (np.inf, 0.0)
-        self._size = _model_size(system)
-        self._displacements = _displacement_dofs(system)
+        self.scaled = Scaled(system, self.A)
         if system.minimization and system.is_displacement:
             self.A.setNearNullSpace(linear.rigid_modes(system.u.function_space))
-        self._scale = self.b.duplicate()
-        self._scale.set(1)
         self._build(self._preset)
 
     def _build(self, preset: Mapping[str, str]) -> None:
@@ -181,6 +174,8 @@ class Newton:
             # An objective once set cannot be taken back; the factorization is shared.
             self._by_residual = self._create(self.snes.getKSP())
             self.snes.setObjective(self._objective)
+        own = "pc_type" not in self._user
+        self._kept = Kept(self.system, self.snes.getKSP(), preset if own else {}, self.prefix)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
         snes = PETSc.SNES().create(self.system.comm)
@@ -200,13 +195,13 @@ class Newton:
         Collective. Call :meth:`predict` first when prescribed values have changed.
         """
         system = self.system
-        if self._rounding == 0:
-            self._measure_stiffness()
+        if self.scaled.rounding == 0:
+            self.scaled.measure()
         if self._imbalance is None:
             self.measure_imbalance()
-        self._get(self.x)
+        self.scaled.get(self.x)
         system.prescribe(self.x)
-        self._put(self.x)
+        self.scaled.put(self.x)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
             return Convergence(False, REASONS[-1], -1, 0, 0, 0, np.inf, 0.0, np.inf)
@@ -219,14 +214,16 @@ class Newton:
             code = outcome.code
             if code == -5 and "snes_max_it" in self._user:
                 break
-            if code == -3:
+            if code == -3 and not self._kept.used:
                 self.snes.getKSP().reset()  # MUMPS does not forget a failure
-            if code == -3 and self._leave_multigrid():
-                pass
+            if code == -3 and self._kept.stale:
+                self._kept.renew()
             elif code == -3 and self._damping is not None and self._damping.stiffen():
                 pass
             elif code in (-3, -5, -6) and objective and self._may_project():
                 self._projecting = True
+            elif code == -3 and self._leave_multigrid():
+                pass
             elif code in (-6, NEAR_CODE) and objective:
                 objective = self._projecting = False
             elif code in (-5, -6) and self._near > NEAREST and self._may_damp():
@@ -235,6 +232,7 @@ class Newton:
             else:
                 break
             outcome = self._run(objective, outcome)
+        self._kept.renew()
         self._imbalance = None
         return outcome
 
@@ -256,8 +254,9 @@ class Newton:
 
     def _leave_multigrid(self) -> bool:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
-        if "gamg" not in self._preset.values() or "pc_type" in self._user:
+        if not self._kept.used:
             return False
+        self._kept.destroy()
         for key in self._preset:
             PETSc.Options().delValue(self.prefix + key)
         for snes in (self.snes, self._by_residual):
@@ -274,24 +273,30 @@ class Newton:
         """
         system = self.system
         self._projecting = self.projection == "always"
-        if self._rounding == 0:
-            self._measure_stiffness()
+        if self.scaled.rounding == 0:
+            self.scaled.measure()
         self.measure_imbalance()
-        self._get(self.x)
+        self.scaled.get(self.x)
         jump = self.x.copy()
         system.prescribe(jump)
         jump.axpy(-1, self.x)
-        if jump.norm(PETSc.NormType.INFINITY) == 0:
+        # A start may miss the supports by rounding: no reason for a step at the whole load.
+        if jump.norm(PETSc.NormType.INFINITY) <= 1e3 * EPS * self.scaled.size:
             jump.destroy()
             return
         system.lifted_residual(self.b)
-        self.b.pointwiseMult(self.b, self._scale)
+        self.b.pointwiseMult(self.b, self.scaled.D)
         self.b.scale(-1)
         self.b.array[system.constrained] = jump.array_r[system.constrained]
+        start = self.x.copy()
         self._carry(self.b)
-        system.prescribe(self.x)
-        self._put(self.x)
+        for x in (self.x, start):  # without the carried step where that leaves no finite energy
+            system.prescribe(x)
+            self.scaled.put(x)
+            if not system.has_energy or np.isfinite(system.energy()):
+                break
         jump.destroy()
+        start.destroy()
 
     def _carry(self, b: PETSc.Vec) -> None:
         """Move x by the tangent solve for b, damped where that is singular; else not at all."""
@@ -313,44 +318,21 @@ class Newton:
 
     def measure_imbalance(self) -> None:
         """Remember |R_free| before u moves: the part of a load increment that is a force."""
-        self.system.residual(self.b)
-        self.b.pointwiseMult(self.b, self._scale)
-        self.b.array[self.system.constrained] = 0
+        self.scaled.residual(self.b)
         self._imbalance = self.b.norm()
 
-    def _measure_stiffness(self) -> None:
-        """Find the forces' rounding error, and the scale of a pressure unknown.
-
-        SNES solves for y in w = D y with D R and D K D, where D is 1 for displacements and
-        s = typical K_ii / h^(d - 1) [Pa] for pressures, h a typical cell's size. Then all entries
-        of the residual are forces [N] and those of the tangent stiffnesses, in any units.
-        """
-        system = self.system
-        system.tangent(self.A)
-        self._free = np.setdiff1d(self._displacements, system.constrained)
-        diagonal = linear.typical_diagonal(self.A, self._free)
-        self._rounding = EPS * diagonal * self._size * np.sqrt(system.size)
-        mesh = system.u.function_space.mesh
-        if is_mixed(system.u.function_space) and diagonal > 0:
-            dim = mesh.topology.dim
-            cells = mesh.topology.index_map(dim).size_global
-            pressures = np.setdiff1d(np.arange(self._scale.local_size), self._displacements)
-            h = self._size / cells ** (1 / dim)
-            self._scale.array[pressures] = diagonal / h ** (dim - 1)
-
     def _assemble_tangent(self) -> None:
-        self.system.tangent(self.A, self._projecting)
+        self.scaled.tangent(self._projecting)
         if self._projecting and self._damping is None:
             self._damp()
         if self._damping is not None:
             self._damping.add(self.A)
-        if is_mixed(self.system.u.function_space):
-            self.A.diagonalScale(self._scale, self._scale)
+        self._kept.prepare(self.A)
 
     def _damp(self) -> None:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""
         force = self._imbalance or self._reactions or 1.0
-        self._damping = Damping(self.system, self.A, self._free, force / self._size)
+        self._damping = Damping(self.system, self.A, self.scaled.free, force / self.scaled.size)
 
     def destroy(self) -> None:
         """Free the PETSc objects (their callbacks refer to this one) and take the options back.
@@ -358,7 +340,7 @@ class Newton:
         They would else hold for the next solve with the same prefix. Warns of options that PETSc
         never asked for.
         """
-        unused = [key for key in self._user if not _was_used(self.prefix + key)]
+        unused = [key for key in self._user if not was_used(self.prefix + key)]
         if unused and self._solved:
             warnings.warn(
                 f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
@@ -367,9 +349,10 @@ class Newton:
             )
         for key in self._presets | set(self._user):
             PETSc.Options().delValue(self.prefix + key)
+        self._kept.destroy()
         if self._damping is not None:
             self._damping.destroy()
-        vectors = (self.b, self.x, self._x_before, self._scale)
+        vectors = (self.b, self.x, self._x_before, self.scaled)
         for item in (self.snes, self._by_residual, self.A, *vectors):
             item.destroy()
 
@@ -385,11 +368,11 @@ class Newton:
         self._correction = np.inf
         self._history: list[float] = []
         snes.solve(None, self.x)
-        self._put(self.x)
+        self.scaled.put(self.x)
         code = snes.getConvergedReason()
         converged = code == CONVERGED_CODE
         reached = "both tolerances reached"
-        if self._last[0] > max(self.rtol * self._last[1], self._rounding):
+        if self._last[0] > max(self.rtol * self._last[1], self.scaled.rounding):
             reached = f"snes_atol = {self.atol:g} reached"
         return Convergence(
             converged=converged,
@@ -410,26 +393,22 @@ class Newton:
         )
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
-        self._put(x)
+        self.scaled.put(x)
         return self.system.energy()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         system = self.system
-        self._put(x)
+        self.scaled.put(x)
         # A state without a finite energy is refused also where the search goes by |R|: ln J with
         # J < 0 spoils the energy before every part of the residual.
         valid = self._energetic or not system.has_energy or np.isfinite(system.energy())
-        system.residual(self.b)
-        supported = self.b.array_r[system.constrained]
-        self._reactions = np.sqrt(system.comm.allreduce(float(supported @ supported)))
-        self.b.pointwiseMult(self.b, self._scale)
-        self.b.array[system.constrained] = 0
+        self._reactions = self.scaled.residual(self.b)
         self.b.copy(f)
         if not valid:
             f.set(np.nan)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._put(x)
+        self.scaled.put(x)
         self._assemble_tangent()
 
     def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
@@ -451,9 +430,10 @@ class Newton:
             return -4
         x = snes.getSolution()
         if iteration:
-            change = np.abs(x.array_r - self._x_before.array_r)[self._displacements]
+            change = np.abs(x.array_r - self._x_before.array_r)[self.scaled.displacements]
             largest = float(change.max(initial=0.0))
             self._correction = self.system.comm.allreduce(largest, MPI.MAX)
+            self._kept.count(snes.getKSP().getIterationNumber())
             if self._energetic and self._damping is not None:
                 self._x_before.axpy(-1, x)
                 step = snes.getSolutionUpdate().norm()
@@ -461,55 +441,11 @@ class Newton:
         x.copy(self._x_before)
         level = max(self._reactions, self._imbalance or 0.0)
         self._last = (fnorm, level)
-        small = fnorm <= max(self.rtol * level, self.atol, self._rounding)
+        small = fnorm <= max(self.rtol * level, self.atol, self.scaled.rounding)
         first = iteration == 0 and not self._resumed
-        settled = first or self._correction <= self.ctol * self._size
+        settled = first or self._correction <= self.ctol * self.scaled.size
         if small and settled:
             return CONVERGED_CODE
         if self._energetic and fnorm <= self._near * level:
             return NEAR_CODE
         return -5 if iteration >= snes.getTolerances()[3] else 0
-
-    def _put(self, x: PETSc.Vec) -> None:
-        """Copy a vector of SNES into the unknown, ghosts included."""
-        target = self.system.u.x.petsc_vec
-        target.pointwiseMult(x, self._scale)
-        target.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-
-    def _get(self, x: PETSc.Vec) -> None:
-        x.pointwiseDivide(self.system.u.x.petsc_vec, self._scale)
-
-
-def _was_used(name: str) -> bool:
-    """Whether PETSc has asked for an option; petsc4py has no function for it."""
-    used = ctypes.c_int(0)
-    ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
-    return bool(used.value)
-
-
-def _command_line(prefix: str) -> dict[str, str]:
-    """Options with the prefix from $PETSC_OPTIONS and the command line (which wins)."""
-    words = shlex.split(os.environ.get("PETSC_OPTIONS", "")) + sys.argv[1:]
-    found = {}
-    for n, word in enumerate(words):
-        if word.startswith("-" + prefix):
-            following = words[n + 1] if n + 1 < len(words) else ""
-            is_value = following and not (following[0] == "-" and following[1:2].isalpha())
-            found[word[1 + len(prefix) :]] = following if is_value else ""
-    return found
-
-
-def _model_size(system: System) -> float:
-    """Diagonal of the mesh's bounding box [m]; collective."""
-    low, high = bounding_box(system.comm, system.u.function_space.mesh.geometry.x)
-    return float(np.linalg.norm(high - low))
-
-
-def _displacement_dofs(system: System) -> NDArray[np.int32]:
-    """Owned local numbers of displacement components: all but the pressure's."""
-    V = system.u.function_space
-    owned = V.dofmap.index_map.size_local * V.dofmap.bs
-    if not is_mixed(V):
-        return np.arange(owned, dtype=np.int32)
-    numbers = _dolfinx.collapse(V.sub(0))[1]
-    return numbers[numbers < owned]

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: MIT
+"""Equilibrium paths through limit points, where neither load nor displacement grows steadily."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from ..assembly import System
+from ..supports import Support
+from .bordered import Bordered
+from .continuation import Path, Step, _failure, _recorded
+from .progress import bar_of
+from .stability import instability
+
+DESIRED = 5  # Newton iterations of a step at which the next one is as long
+SHARPEST = 0.8  # cosine of the largest angle between a step and the path's tangents at its ends
+SHORTEST = 1e-6  # of the first step
+
+
+def arc_length(
+    potential: ufl.Form,
+    u: fem.Function,
+    supports: Iterable[Support],
+    q: fem.Constant,
+    *,
+    step: float,
+    to: float | None = None,
+    steps: int = 1000,
+    until: Callable[[System], bool] | None = None,
+    largest: float = 0.05,
+    along: fem.Function | None = None,
+    virtual_work: ufl.Form | None = None,
+    rtol: float = 1e-8,
+    ctol: float = 1e-6,
+    max_iterations: int = 15,
+    record: Mapping[str, Callable[[System], Any]] | None = None,
+    on_step: Callable[[Path], None] | None = None,
+    progress: bool = True,
+) -> Path:
+    """Follow an equilibrium path by its length: over limit points of load and displacement.
+
+    t . (u - u_n) = s,  t the unit tangent of the path at the last state (u_n, q_n)
+
+    Each step starts along t and returns to equilibrium in the plane at the distance s (Riks'
+    method). s grows after easy steps and is halved where Newton's method fails or the path turns
+    by more than 37 degrees from the step. Collective.
+
+    Args:
+        potential: Total potential [J] of u that contains q.
+        u: Unknown, starting from its present values, in equilibrium.
+        supports: Prescribed displacements; they do not depend on q.
+        q: Load factor, found along.
+        step: Change of q in the first step; its sign is the direction in which the path is left.
+        to: Load factor at which the path ends when it is first passed, solved for exactly.
+        steps: Largest number of steps.
+        until: Function of the system that tells, after each step, whether the path is at its end.
+        largest: Largest displacement of a step over the model's size.
+        along: Direction in which the path is left, in place of that of growing q: a mode of
+            :func:`forms.lowest_modes` turns into another branch at a bifurcation. ``step`` is then
+            the largest displacement [m] of the first step.
+        virtual_work: Linear form added to the residual, for loads without a potential.
+        rtol: Tolerance of |R_free| relative to the force level.
+        ctol: Tolerance of the last correction relative to the model's size.
+        max_iterations: Newton iterations per step.
+        record: Functions of the system, evaluated after each step.
+        on_step: Called with the path after each step.
+        progress: Show a line of progress on rank 0.
+
+    Returns:
+        Path; ``load`` of each step is q, and ``convergence.negative`` the number of negative
+        eigenvalues of the tangent in that state.
+
+    Raises:
+        NotConverged: a step failed at SHORTEST of the first length; u and q hold the last state.
+        ValueError: the potential does not contain q, or steps without length or end.
+    """
+    _check(step, to, steps, until, largest, float(getattr(q, "value", 0.0)))
+    problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
+    path, start = Path(u, problem.system), time.perf_counter()
+    before, load = u.x.array.copy(), problem.load
+    bar = bar_of("arc length", None, problem.system.comm, progress)
+    plane, ended = _Plane(problem, along), ""
+    try:
+        length = plane.first(step)
+        least = SHORTEST * length
+        while not ended:
+            length = min(length, largest * problem.scaled.size / plane.largest)
+            plane.leave(length)
+            outcome = problem.solve(plane)
+            turned = False
+            if outcome.converged:
+                turned = plane.advance() < SHARPEST and length > 2 * least
+                if turned:
+                    plane.restore()
+            if outcome.converged and not turned:
+                outcome = replace(outcome, negative=plane.negative)
+                if to is not None and (load - to) * (problem.load - to) <= 0:
+                    outcome = problem.solve(_Load(problem, to))
+                    if not outcome.converged:
+                        raise _failure(path, f"{outcome.sentence()}, at the load factor {to}.")
+                    ended = f"Load factor {to:.6g} reached"
+                before, load = u.x.array.copy(), problem.load
+                plane.accept()
+                path.steps.append(Step(load, outcome, _recorded(record, problem.system)))
+                bar.update()
+                bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
+                if on_step is not None:
+                    on_step(path)
+                if not ended and until is not None and until(problem.system):
+                    ended = "The end of the path reached"
+                if not ended and len(path.steps) == steps:
+                    ended = f"{steps} steps taken"
+                length *= float(np.clip(np.sqrt(DESIRED / max(outcome.iterations, 1)), 0.5, 1.5))
+                continue
+            path.refused += 1
+            u.x.array[:], q.value = before, load
+            length /= 2
+            if length < least:
+                raise _failure(
+                    path,
+                    f"{outcome.sentence()}, at q = {load:.6g} even for a step of {SHORTEST:g} of "
+                    "the first one. The last converged state is kept.",
+                )
+    finally:
+        plane.destroy()
+        u.x.array[:], q.value = before, load
+        problem.system.update_dependents()
+        problem.destroy()
+        bar.close()
+        path.seconds = time.perf_counter() - start
+    path.completed = True
+    path.reason = (
+        f"{ended} in {len(path.steps)} steps ({path.refused} refused), "
+        f"{sum(s.convergence.iterations for s in path.steps)} iterations.{instability(path.steps)}"
+    )
+    return path
+
+
+class _Plane:
+    """The constraint t . (y - y_n) = s in the scaled unknown, over its displacements."""
+
+    def __init__(self, problem: Bordered, along: fem.Function | None) -> None:
+        self.problem = problem
+        self.t, self.base, self.y = (problem.b.duplicate() for _ in range(3))
+        self._earlier = problem.b.duplicate()
+        self.slope, self._length, self.scale = 0.0, 0.0, problem.scaled.size
+        self.negative: int | None = None
+        self._along = along
+
+    def first(self, step: float) -> float:
+        """Set the first tangent; length of the first step."""
+        problem = self.problem
+        problem.scaled.measure()
+        self.negative = problem.tangent()
+        norm = self._take(problem.du_q, -1.0)
+        if norm == 0:
+            raise ValueError("the load does not move the body: nothing to follow.")
+        length, self.slope = abs(step) * norm, 1 / norm
+        if self._along is not None:
+            before = problem.system.u.x.array.copy()
+            problem.system.u.x.array[:] = self._along.x.array
+            problem.scaled.get(self.y)
+            problem.system.u.x.array[:] = before
+            self._take(self.y, 1.0)
+            length, self.slope = abs(step) / self.largest, 0.0
+        if step < 0:
+            self.t.scale(-1)
+            self.slope *= -1
+        problem.scaled.get(self.base)
+        return length
+
+    @property
+    def largest(self) -> float:
+        """Largest displacement component of t."""
+        return self.problem.largest(self.t)
+
+    def leave(self, length: float) -> None:
+        """Move along the tangent by a length."""
+        self._length = length
+        self.problem.move(length, self.t, length * self.slope)
+
+    def value(self) -> float:
+        self.problem.scaled.get(self.y)
+        self.y.axpy(-1, self.base)
+        return float(self.t.dot(self.y)) - self._length
+
+    def gradient(self, g_u: PETSc.Vec) -> float:
+        self.t.copy(g_u)
+        return 0.0
+
+    def advance(self) -> float:
+        """Take the tangent of the new state; cosine of the larger angle with the step's chord."""
+        problem = self.problem
+        self.t.copy(self._earlier)
+        self._before = (self.slope, self.negative)
+        problem.scaled.get(self.y)
+        self.y.axpy(-1, self.base)
+        self._mask(self.y)
+        chord = self.y.norm()
+        self.negative = problem.tangent()
+        norm = self._take(problem.du_q, -1.0)
+        self.slope = 1 / norm
+        if self.t.dot(self._earlier) < 0:
+            self.t.scale(-1)
+            self.slope *= -1
+        angles = self._earlier.dot(self.y) / chord, self.t.dot(self.y) / chord
+        return float(min(angles))
+
+    def accept(self) -> None:
+        """Start the next step from the present state."""
+        self.problem.scaled.get(self.base)
+
+    def restore(self) -> None:
+        """Return to the tangent before :meth:`advance`."""
+        self._earlier.copy(self.t)
+        self.slope, self.negative = self._before
+
+    def _take(self, direction: PETSc.Vec, sign: float) -> float:
+        """Make t the unit vector of a direction's displacements; its norm."""
+        direction.copy(self.t)
+        self._mask(self.t)
+        norm = float(self.t.norm())
+        if norm > 0:
+            self.t.scale(sign / norm)
+        return norm
+
+    def _mask(self, x: PETSc.Vec) -> None:
+        x.array[self.problem.scaled.others] = 0
+
+    def destroy(self) -> None:
+        """Free the vectors."""
+        for item in (self.t, self.base, self.y, self._earlier):
+            item.destroy()
+
+
+class _Load:
+    """The constraint q = to."""
+
+    def __init__(self, problem: Bordered, to: float) -> None:
+        self.problem, self.to, self.scale = problem, to, abs(to) or 1.0
+
+    def value(self) -> float:
+        return self.problem.load - self.to
+
+    def gradient(self, g_u: PETSc.Vec) -> float:
+        g_u.set(0)
+        return 1.0
+
+
+def _check(
+    step: float,
+    to: float | None,
+    steps: int,
+    until: Callable[[System], bool] | None,
+    largest: float,
+    q: float,
+) -> None:
+    if not (np.isfinite(step) and step != 0):
+        raise ValueError(f"step is the first change of q, a number but not 0, got {step}.")
+    if not (largest > 0 and steps >= 1):
+        raise ValueError(
+            f"largest must be positive and steps at least 1, got {largest} and {steps}."
+        )
+    if to is not None and (not np.isfinite(to) or to == q):
+        raise ValueError(f"to must be a load factor other than the present {q}, got {to}.")
+    if until is not None and not callable(until):
+        raise ValueError(f"until is a function of the system, got {type(until).__name__}.")
