@@ -20,7 +20,7 @@ from ._parallel import on_rank_zero
 from .fields import Evaluation, discontinuous
 from .kinematics import Expr
 from .results import displacement_of
-from .solve.continuation import Path
+from .solve.path import Path
 
 
 class VTX:

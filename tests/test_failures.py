@@ -9,6 +9,7 @@ from dolfinx import mesh as dmesh
 
 import forms
 from forms.solve import linear as linear_presets
+from forms.solve.supported import free_motions
 
 
 def test_a_failed_path_keeps_the_last_converged_state():
@@ -309,3 +310,68 @@ def test_virtual_work_beside_measures_without_names():
     assert path.completed and forms.at(u, (1.0, 0.5))[0] < -0.01
     with pytest.raises(ValueError, match="linear in one test function, got one with no form"):
         forms.solve(psi, u, [fixed], virtual_work=u[0])
+
+
+FREE = {
+    "no support": ([], ["translation along x", "translation along y", "translation along z"], 3),
+    "a roller": ([("x0", 0)], ["translation along y", "translation along z"], 1),
+    "two rollers": ([("x0", 0), ("y0", 1)], ["translation along z"], 0),
+    "three rollers": ([("x0", 0), ("y0", 1), ("z0", 2)], [], 0),
+}
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("case", FREE)
+def test_rigid_motions_that_nothing_holds_are_named(case, mixed):
+    """Of a body, of a mixed unknown too; springs hold as supports do."""
+    rollers, translations, rotations = FREE[case]
+    mesh = unit_mesh(3, 2)
+    u = forms.displacement_pressure(mesh) if mixed else forms.displacement(mesh)
+    v, p = ufl.split(u) if mixed else (u, None)
+    F = forms.deformation_gradient(v)
+    psi = forms.energies.neo_hookean(F, 1.0, 0.0 if mixed else 2.0)
+    psi = forms.energies.with_pressure(psi, F, p) if mixed else psi
+    held = [forms.roller(u, at_plane(mesh, axis, 0.0), axis) for _, axis in rollers]
+    found = free_motions(forms.system(psi * ufl.dx, u, held))
+    assert [words for words in found if "translation" in words] == translations
+    assert sum("rotation" in words for words in found) == rotations
+    spring = forms.spring(v, 1e-3, ufl.ds(mesh))
+    assert free_motions(forms.system(psi * ufl.dx + spring, u, held)) == []
+
+
+def test_a_plane_body_on_a_pin_turns_about_it():
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    system = forms.system(psi * ufl.dx, u, [forms.pin(u, (1, 0))])
+    assert free_motions(system) == ["rotation about the axis along z through (1, 0, 0)"]
+
+
+def test_a_failed_solve_names_the_missing_support():
+    mesh = unit_mesh(2, 2)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    load = forms.dead_traction(u, ufl.as_vector((0.0, -0.1)), right_edge(mesh))
+    held = [forms.roller(u, at_plane(mesh, 0, 0.0), 0)]
+    with pytest.raises(
+        forms.NotConverged, match="Nothing holds the body against translation along y: add a supp"
+    ):
+        forms.solve(psi * ufl.dx + load, u, held)
+    assert np.all(u.x.array == 0)
+
+
+def test_a_stable_mixed_state_has_no_negative_eigenvalue():
+    """The one per pressure is left out; compressed, a column of it buckles."""
+    mesh = unit_mesh(2, 4)
+    w = forms.displacement_pressure(mesh)
+    u, p = ufl.split(w)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.with_pressure(forms.energies.neo_hookean(F, 1.0, 0.0), F, p, 100.0)
+    held = [
+        forms.clamp(w, at_plane(mesh, 1, 0.0)),
+        forms.translate(w, at_plane(mesh, 1, 1.0), (0, 0.2)),
+    ]
+    path = forms.solve(psi * ufl.dx, w, held)
+    assert path.steps[0].convergence.negative == 0
+    assert forms.negative_eigenvalues(path) == 0
+    assert "Unstable" not in path.reason

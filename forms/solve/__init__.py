@@ -2,9 +2,10 @@
 """Solving: Newton by PETSc SNES, linear presets, load paths, arc length, stability."""
 
 from .arclength import arc_length
-from .continuation import Path, Step, follow, solve
+from .continuation import follow, solve
 from .control import control
 from .newton import Convergence, Newton, NotConverged
+from .path import Path, Step
 from .stability import lowest_modes, negative_eigenvalues
 
 __all__ = [

@@ -17,9 +17,8 @@ from dolfinx import fem
 from ..assembly import System
 from ..supports import Support
 from .bordered import Bordered
-from .continuation import Path, Step, _failure, _recorded
+from .path import Path, Step, check_record, failure, recorded
 from .progress import bar_of
-from .stability import instability
 
 DESIRED = 5  # Newton iterations of a step at which the next one is as long
 SHARPEST = 0.8  # cosine of the largest angle between a step and the path's tangents at its ends
@@ -84,6 +83,7 @@ def arc_length(
         ValueError: the potential does not contain q, or steps without length or end.
     """
     _check(step, to, steps, until, largest, float(getattr(q, "value", 0.0)))
+    check_record(record)
     problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
     path, start = Path(u, problem.system), time.perf_counter()
     before, load = u.x.array.copy(), problem.load
@@ -106,11 +106,11 @@ def arc_length(
                 if to is not None and (load - to) * (problem.load - to) <= 0:
                     outcome = problem.solve(_Load(problem, to))
                     if not outcome.converged:
-                        raise _failure(path, f"{outcome.sentence()}, at the load factor {to}.")
+                        raise failure(path, f"{outcome.sentence()}, at the load factor {to}.")
                     ended = f"Load factor {to:.6g} reached"
                 before, load = u.x.array.copy(), problem.load
                 plane.accept()
-                path.steps.append(Step(load, outcome, _recorded(record, problem.system)))
+                path.steps.append(Step(load, outcome, recorded(record, problem.system)))
                 bar.update()
                 bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
@@ -125,7 +125,7 @@ def arc_length(
             u.x.array[:], q.value = before, load
             length /= 2
             if length < least:
-                raise _failure(
+                raise failure(
                     path,
                     f"{outcome.sentence()}, at q = {load:.6g} even for a step of {SHORTEST:g} of "
                     "the first one. The last converged state is kept.",
@@ -137,11 +137,7 @@ def arc_length(
         problem.destroy()
         bar.close()
         path.seconds = time.perf_counter() - start
-    path.completed = True
-    path.reason = (
-        f"{ended} in {len(path.steps)} steps ({path.refused} refused), "
-        f"{sum(s.convergence.iterations for s in path.steps)} iterations.{instability(path.steps)}"
-    )
+    path.end(f"{ended} in {len(path.steps)} steps")
     return path
 
 

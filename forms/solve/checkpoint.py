@@ -9,7 +9,6 @@ gathers and writes, not ADIOS2, which hangs on several ranks and aborts on one w
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import json
 import os
@@ -21,19 +20,17 @@ from importlib import metadata
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
-from mpi4py import MPI
-
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
 from .. import _dolfinx
 from .._parallel import on_rank_zero
-from . import linear
-from .newton import Convergence, Newton
+from .newton import Convergence
+from .order import NodeOrder
 
 if TYPE_CHECKING:
-    from .continuation import Step
+    from .path import Step
 
 FORMAT = 1
 ANEW = "or start anew with Checkpoint(…, resume=False)"
@@ -122,8 +119,8 @@ class Archive:
             )
         geometry = _dolfinx.geometry_dofmap(mesh)[: len(cells)], mesh.geometry.index_map()
         dofs, bs = V.dofmap, V.dofmap.index_map_bs
-        points = _Order(mesh.comm, cells, *geometry, 3)
-        self._order = _Order(mesh.comm, cells, dofs.list[: len(cells)], dofs.index_map, bs)
+        points = NodeOrder(mesh.comm, cells, *geometry, 3)
+        self._order = NodeOrder(mesh.comm, cells, dofs.list[: len(cells)], dofs.index_map, bs)
         x: NDArray[Any] = mesh.geometry.x
         self._points = points.gather(x.ravel())
         self._identity = {
@@ -285,69 +282,6 @@ class Archive:
         for other in self._files():
             if other not in self._kept:
                 other.unlink(missing_ok=True)
-
-
-def memory(newton: Newton) -> dict[str, Any]:
-    """What Newton's method keeps from one load to the next: damping, and that multigrid failed."""
-    damping, direct = newton._damping, linear.direct(newton.system.symmetric) == newton._preset
-    return {"direct": direct, "damping": damping and (damping._scale, damping.strength)}
-
-
-def recall(newton: Newton, kept: Mapping[str, Any]) -> None:
-    """Give Newton's method the memory of an earlier one, after its first tangent. Collective."""
-    if kept["direct"]:
-        newton._leave_multigrid()
-    if kept["damping"]:
-        if newton._damping is None:
-            newton._damp()
-        assert newton._damping is not None
-        newton._damping._scale, newton._damping.strength = kept["damping"]
-
-
-class _Order:
-    """Nodes in the order of their first appearance in the cells as input; rank 0 knows it.
-
-    Args:
-        comm: Communicator.
-        cells: Numbers of the owned cells as input.
-        nodes: Local numbers of their nodes, shape (cells, nodes per cell).
-        imap: Index map of the nodes.
-        width: Values per node.
-
-    ``digest``, on rank 0, is a hash of the cells' nodes in that order.
-    """
-
-    def __init__(
-        self, comm: MPI.Comm, cells: NDArray, nodes: NDArray, imap: Any, width: int
-    ) -> None:
-        self._comm, self._width, self._owned = comm, width, imap.size_local * width
-        table = imap.local_to_global(nodes.ravel()).reshape(nodes.shape)
-        parts = comm.gather((cells, table, self._owned), root=0)
-        self.digest = ""
-        if parts is not None:
-            numbers, tables, counts = map(list, zip(*parts, strict=True))
-            table = np.concatenate(tables)[np.argsort(np.concatenate(numbers))]
-            found, first, at = np.unique(table.ravel(), return_index=True, return_inverse=True)
-            appearance = np.argsort(first)
-            self._order, self._ends = found[appearance], np.cumsum(counts)[:-1]
-            self.digest = hashlib.sha256(np.argsort(appearance)[at].tobytes()).hexdigest()
-
-    def gather(self, values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Values of all nodes, shape (nodes, width), on rank 0, from each rank's own."""
-        parts = self._comm.gather(values[: self._owned], root=0)
-        if parts is None:
-            return None
-        whole: NDArray[np.float64] = np.concatenate(parts)
-        return whole.reshape(-1, self._width)[self._order]
-
-    def scatter(self, values: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """Each rank's own values from those of all nodes on rank 0."""
-        parts = None
-        if values is not None:
-            whole = np.empty_like(values)
-            whole[self._order] = values
-            parts = np.split(whole.ravel(), self._ends)
-        return self._comm.scatter(parts, root=0)
 
 
 def _number(file: FilePath) -> int:

@@ -6,63 +6,22 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from tqdm import tqdm
 
 from ..assembly import System, system
 from ..supports import Support
-from .checkpoint import Archive, Checkpoint, Saved, memory, recall
-from .newton import Convergence, Newton, NotConverged
+from .checkpoint import Archive, Checkpoint, Saved
+from .newton import Convergence, Newton
+from .path import Path, Step, check_record, failure, recorded
+from .progress import bar_of
+from .stability import instability
 
 EASY = 5  # Newton iterations up to which the next load step grows
-
-
-@dataclass(frozen=True)
-class Step:
-    """One converged load step: the load factor, how Newton went, what was recorded."""
-
-    load: float
-    convergence: Convergence
-    records: dict[str, Any]
-
-
-@dataclass(eq=False)
-class Path:
-    """Outcome of a solve: the unknown at the last converged load, and how it got there.
-
-    Attributes:
-        u: Unknown, holding the last converged state.
-        system: Compiled system, for reactions and further solves.
-        steps: Converged load steps in order.
-        refused: Load steps that were tried and halved.
-        reason: One sentence on why the path ended.
-        completed: Whether the last load asked for was reached.
-        seconds: Wall time of the path [s].
-        resumed: Load of the checkpoint that the path was taken up from, if any.
-    """
-
-    u: fem.Function
-    system: System
-    steps: list[Step] = field(default_factory=list)
-    refused: int = 0
-    reason: str = ""
-    completed: bool = False
-    seconds: float = 0.0
-    resumed: float | None = None
-
-    @property
-    def load(self) -> float:
-        """Last converged load factor."""
-        return self.steps[-1].load if self.steps else 0.0
-
-    def record(self, name: str) -> np.ndarray:
-        """A recorded quantity over the steps, shape (steps, ...)."""
-        return np.array([step.records[name] for step in self.steps])
 
 
 def solve(
@@ -102,7 +61,7 @@ def solve(
         NotConverged: Newton's method failed; u has its old values.
         ValueError: forms or supports of the wrong kind.
     """
-    _check_record(record)
+    check_record(record)
     problem = system(potential, u, supports, virtual_work)
     newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
@@ -118,13 +77,14 @@ def solve(
         newton.destroy()
     path.seconds = time.perf_counter() - start
     if not converged:
-        raise _failure(
+        raise failure(
             path,
             f"{outcome.sentence()}. The old state is kept. Reach the load in steps with "
             f"forms.follow; -{prefix}snes_monitor shows each iteration.",
         )
-    path.steps.append(Step(load, outcome, _recorded(record, problem)))
-    path.completed, path.reason = True, outcome.sentence() + "."
+    path.steps.append(Step(load, outcome, recorded(record, problem)))
+    path.completed = True
+    path.reason = f"{outcome.sentence()}.{instability(path.steps)}"
     return path
 
 
@@ -191,7 +151,7 @@ def follow(
             f"follow needs the load factor of forms.load_factor, got {type(t).__name__}."
         )
     walk = _Walk.start(float(t.value), to, step, min_step, max_step)
-    _check_record(record)
+    check_record(record)
     problem = system(potential, u, supports, virtual_work)
     if not problem.depends_on(t):
         raise ValueError(
@@ -200,20 +160,14 @@ def follow(
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
     newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
-    bar = tqdm(
-        total=1.0,
-        desc="load",
-        bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}",
-        file=sys.stderr,
-        disable=not progress or problem.comm.rank != 0,
-    )
+    bar = bar_of("load", 1.0, problem.comm, progress)
     before, reached = u.x.array.copy(), float(t.value)
     earlier: tuple[np.ndarray, float] | None = None
 
     def save(now: bool) -> None:
         path.seconds = time.perf_counter() - start
         if archive is not None and earlier is not None:
-            control = {**vars(walk), "length": earlier[1], "newton": memory(newton)}
+            control = {**vars(walk), "length": earlier[1], "newton": newton.memory()}
             counts = {"refused": path.refused, "seconds": path.seconds}
             archive.write((before, earlier[0]), path.steps, {**control, **counts}, now)
 
@@ -234,7 +188,7 @@ def follow(
             if outcome.converged:
                 earlier = (before, walk.ahead)
                 before, reached = u.x.array.copy(), float(t.value)
-                path.steps.append(Step(reached, outcome, _recorded(record, problem)))
+                path.steps.append(Step(reached, outcome, recorded(record, problem)))
                 walk.advance(outcome.iterations)
                 bar.update(walk.fraction - bar.n)
                 bar.set_postfix_str(f"t = {reached:.4g}, {outcome.iterations} iterations")
@@ -247,7 +201,7 @@ def follow(
             t.value = reached
             if not walk.halve():
                 save(now=True)
-                raise _failure(
+                raise failure(
                     path,
                     f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
                     f"{2 * walk.ahead:.3g}. The last converged state is kept. Try a smaller "
@@ -264,11 +218,7 @@ def follow(
         newton.destroy()
         bar.close()
         path.seconds = time.perf_counter() - start
-    path.completed = True
-    path.reason = (
-        f"Load factor {reached:.6g} reached in {len(path.steps)} steps "
-        f"({path.refused} refused), {sum(s.convergence.iterations for s in path.steps)} iterations."
-    )
+    path.end(f"Load factor {reached:.6g} reached in {len(path.steps)} steps")
     return path
 
 
@@ -367,7 +317,7 @@ def _resume(
         # Newton takes its reference levels from the first step: it has to see that one again.
         t.value = first
         _predict(newton)
-        recall(newton, saved.control["newton"])
+        newton.recall(saved.control["newton"])
     path.steps += [Step(*step) for step in saved.steps]
     path.refused, path.seconds = saved.control["refused"], saved.control["seconds"]
     path.resumed = path.load
@@ -383,22 +333,3 @@ def _extrapolate(problem: System, earlier: np.ndarray, ratio: float) -> None:
     u += ratio * (last - earlier)
     if problem.has_energy and not np.isfinite(problem.energy()):
         u[:] = last
-
-
-def _recorded(record: Mapping[str, Callable] | None, problem: System) -> dict[str, Any]:
-    return {name: function(problem) for name, function in (record or {}).items()}
-
-
-def _check_record(record: Mapping[str, Any] | None) -> None:
-    for name, function in (record or {}).items():
-        if not callable(function):
-            raise ValueError(
-                f"record needs functions of the system, got {type(function).__name__} for {name!r}."
-            )
-
-
-def _failure(path: Path, sentence: str) -> NotConverged:
-    path.reason = sentence
-    error = NotConverged(sentence)
-    error.path = path
-    return error

@@ -17,7 +17,7 @@ from ..operators.lowering import compiled
 from ..supports import Support
 from ..variation import residual
 from .bordered import Bordered, by_constant
-from .continuation import Path, Step, _failure, _recorded
+from .path import Path, Step, check_record, failure, recorded
 from .progress import bar_of
 
 MAX_HALVINGS = 8
@@ -69,6 +69,7 @@ def control(
         NotConverged: a step failed at MAX_HALVINGS halvings; u and q hold the last state.
         ValueError: the potential does not contain q, or the functional does not depend on u.
     """
+    check_record(record)
     problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
     held = _Held(problem, functional)
     path, start = Path(u, problem.system), time.perf_counter()
@@ -88,12 +89,12 @@ def control(
                 u.x.array[:], q.value = before, load
                 part, halvings = part / 2, halvings + 1
                 if halvings > MAX_HALVINGS:
-                    raise _failure(
+                    raise failure(
                         path,
                         f"{outcome.sentence()}, on the way to {target:.6g} from {reached:.6g}. The "
                         "last converged state is kept. Give targets that lie closer.",
                     )
-            notes = _recorded(record, problem.system)
+            notes = recorded(record, problem.system)
             path.steps.append(Step(load, outcome, {"target": target, **notes}))
             bar.update()
             bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
@@ -105,11 +106,7 @@ def control(
         problem.destroy()
         bar.close()
         path.seconds = time.perf_counter() - start
-    path.completed = True
-    path.reason = (
-        f"All {len(path.steps)} targets reached ({path.refused} refused), "
-        f"{sum(s.convergence.iterations for s in path.steps)} iterations."
-    )
+    path.end(f"All {len(path.steps)} targets reached")
     return path
 
 

@@ -52,7 +52,7 @@ class Damping:
         self._structure = kinds.SUBSET_NONZERO_PATTERN if same else kinds.DIFFERENT_NONZERO_PATTERN
         own = linear.typical_diagonal(self.L, free)
         stiffness = linear.typical_diagonal(A, free) or otherwise
-        self._scale = stiffness / own if own else 0.0
+        self.scale = stiffness / own if own else 0.0
         self.strength = FIRST
 
     def restart(self) -> None:
@@ -61,7 +61,7 @@ class Damping:
 
     def add(self, A: PETSc.Mat) -> None:
         """Add the damping to a tangent. Collective."""
-        A.axpy(self.strength * self._scale, self.L, self._structure)
+        A.axpy(self.strength * self.scale, self.L, self._structure)
 
     def after(self, fraction: float) -> None:
         """Adapt the strength to the fraction of the last step that the line search took."""

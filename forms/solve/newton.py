@@ -19,12 +19,16 @@ from .damping import Damping
 from .multigrid import Kept
 from .options import given, was_used
 from .scaling import EPS, Scaled
+from .stability import inertia
 
 # Below this fraction of the force level the search goes by |R|: differences of the energy are
 # quadratic in |R| and drown in its rounding long before |R| reaches a tight tolerance.
 NEAR, NEAREST = 1e-3, 1e-7
 # Newton iterations of a run; a sheet of wrinkles that turns slack and taut takes its time.
 MOST, MOST_DAMPED, MOST_NEAR = 30, 200, 12
+# Damping below which a tangent's eigenvalues are its own.
+LIGHT = 1e-8
+
 CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
 PROJECTIONS = ("auto", "always", "never")
@@ -265,6 +269,21 @@ class Newton:
         self._build(self._preset)
         return True
 
+    def memory(self) -> dict[str, Any]:
+        """What is kept from one load to the next: damping, and that multigrid failed."""
+        damping, left = self._damping, linear.direct(self.system.symmetric) == self._preset
+        return {"direct": left, "damping": damping and (damping.scale, damping.strength)}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Take the memory of an earlier Newton, after the first tangent. Collective."""
+        if memory["direct"]:
+            self._leave_multigrid()
+        if memory["damping"]:
+            if self._damping is None:
+                self._damp()
+            assert self._damping is not None
+            self._damping.scale, self._damping.strength = memory["damping"]
+
     def predict(self) -> None:
         """Move u by one tangent solve that carries the prescribed values to the present load.
 
@@ -386,11 +405,19 @@ class Newton:
             residual=self._last[0],
             force_level=self._last[1],
             correction=float(self._correction),
+            negative=self._negative(snes),
             # A run that goes on from another one meets its last residual again.
             residuals=(before.residuals + tuple(self._history[1:]))
             if before
             else tuple(self._history),
         )
+
+    def _negative(self, snes: PETSc.SNES) -> int | None:
+        """Negative eigenvalues of the last tangent, where it was the full one and factorized."""
+        damped = self._damping is not None and self._damping.strength > LIGHT
+        if self._projecting or damped or snes.getIterationNumber() == 0:
+            return None
+        return inertia(snes.getKSP(), self.system)
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
         self.scaled.put(x)
