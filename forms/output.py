@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import json
 import platform
+import resource
 from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinx
@@ -100,6 +102,7 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
         "completed": path.completed,
         "reason": path.reason,
         "seconds": path.seconds,
+        "peak_memory_mb": peak_memory(system.comm),
         "refused_steps": path.refused,
         "steps": [
             {"load": s.load, **vars(s.convergence), "records": s.records} for s in path.steps
@@ -124,6 +127,12 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
 
         on_rank_zero(system.comm, write)
     return plain
+
+
+def peak_memory(comm: MPI.Comm) -> float:
+    """Largest resident memory [MB] that all ranks together have used so far. Collective."""
+    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(comm.allreduce(kilobytes)) / 1024
 
 
 def _finite(value: Any) -> Any:

@@ -125,12 +125,36 @@ def test_airbag(demo):
     assert list(numbers["rise"].values()) == pytest.approx([0.217] * 6, rel=0.03)
 
 
+@pytest.mark.slow
+def test_reese(demo):
+    """Q2-Q1 end at -0.7605 mm, Q2 alone locks, no cell is inside out."""
+    numbers, printed = demo("reese", "block.png")
+    ends = numbers["ends"]
+    assert ends["Q2-Q1, 6 x 6 x 6"] == pytest.approx(-0.7605, abs=2e-3)
+    assert ends["Q2, 2 x 2 x 2"] > -0.55 and numbers["smallest_J"] > 0
+    assert numbers["steps"][-1]["load"] == 100 and printed.count("0 refused") == 4
+
+
 def test_benchmark_of_operators_runs(run, tmp_path):
     """The rows of the full benchmark, at toy size: every way is assembled and timed."""
     done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(rows) == 35 and all(row.get("ratio", 1) > 0 for row in rows)
     assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
+
+
+def test_benchmark_of_hard_cases_runs(run, tmp_path):
+    """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach."""
+    done = run("-m", "demos.benchmarks.hard_cases", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    solved = {
+        name: [r["case"] for r in rows if r["solver"] == name and r["solved"]]
+        for name in ("variform", "DOLFINx")
+    }
+    assert len(rows) == 10 and len(solved["variform"]) == 5
+    assert solved["DOLFINx"] == ["confined", "pressure"]
+    assert all(row["tangents"] >= row["iterations"] for row in rows)
+    assert (tmp_path / "results" / "hard_cases.csv").stat().st_size > 1000
 
 
 @pytest.mark.slow

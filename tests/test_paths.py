@@ -2,6 +2,7 @@
 """Paths through limit points and past bifurcations: arch, frame, column, against the literature."""
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -239,10 +240,33 @@ def test_an_exact_load_at_the_end():
     assert np.abs(u.x.array - moved).max() < 1e-8
 
 
+def test_a_path_by_its_length_is_taken_up_again(tmp_path):
+    """Bit for bit, as if it had not been interrupted; a completed one comes back at once."""
+
+    def run(steps, folder):
+        body, u, q, potential, held = column(6)
+        side = forms.dead_traction(u, ufl.as_vector([0 * q, 1e-2 * EULER]), body.ds("right"))
+        kept = forms.Checkpoint(folder, every=2) if folder else None
+        path = forms.arc_length(
+            potential + side, u, held, q, step=100.0, steps=steps, checkpoint=kept, progress=False
+        )
+        return path, u.x.array.copy()
+
+    whole, end = run(11, None)
+    run(5, tmp_path / "kept")
+    path, found = run(11, tmp_path / "kept")
+    assert path.resumed == whole.steps[4].load
+    assert [s.load for s in path.steps] == [s.load for s in whole.steps]
+    assert np.array_equal(found, end)
+    path, found = run(11, tmp_path / "kept")
+    assert path.completed and np.array_equal(found, end)
+
+
 SCRIPT = """
 import json, sys
 sys.path.insert(0, {tests!r})
 from mpi4py import MPI
+from petsc4py import PETSc
 import forms
 from test_paths import EULER, column
 body, u, q, potential, held = column(20, MPI.COMM_WORLD)
@@ -292,3 +316,80 @@ def test_a_pin_needs_a_node(point, axes, message):
     u = forms.displacement(unit_mesh(2, 2))
     with pytest.raises(ValueError, match=message):
         forms.pin(u, point, axes)
+
+
+def shallow_arch(rise=4.0, n=20):
+    """Clamped at both ends, a dead traction -q on its back; the crown's vertical unknown."""
+    body, _, _ = strip(100.0, n, lambda s, t: (s, 2 * t + rise * np.sin(np.pi * s / 100)), ())
+    u, q = forms.displacement(body, 2), fem.Constant(body.mesh, 0.0)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.saint_venant_kirchhoff(F, 0.5, 0.0)
+    held = [forms.clamp(u, body.facets(end)) for end in ("left", "right")]
+    load = forms.dead_traction(u, ufl.as_vector([0 * q, -q]), body.ds("top"))
+    return u, q, psi * ufl.dx, load, held, 2 * node(u, (50, rise + 1)) + 1
+
+
+def test_petsc_s_own_arc_length_finds_the_same_path():
+    """SNES newtonal (dead loads, fixed steps) is on our path over both limit points, to 1 %."""
+    u, q, inside, load, held, crown = shallow_arch()
+    path = forms.arc_length(
+        inside + load,
+        u,
+        held,
+        q,
+        step=1e-5,
+        until=lambda system: u.x.array[crown] < -11,
+        largest=0.004,
+        record={"crown": lambda system: u.x.array[crown]},
+        progress=False,
+    )
+    crowns, loads = path.record("crown"), np.array([step.load for step in path.steps])
+    assert np.any(np.diff(loads) < 0) and np.all(np.diff(crowns) < 0)
+
+    u.x.array[:], q.value = 0, 1
+    system, whole = forms.system(inside, u, held), forms.system(inside + load, u, held)
+    A, b, dead = system.create_matrix(), system.create_vector(), system.create_vector()
+    whole.residual(dead)  # at rest all of it is the load's
+    dead.scale(-1)
+    dead.array[system.constrained] = 0
+    unscaled, found = dead.copy(), []
+
+    def residual(snes, x, f):
+        u.x.array[:] = x.array_r
+        system.residual(f)
+        f.array[system.constrained] = 0
+
+    def tangent(snes, x, A, P):
+        u.x.array[:] = x.array_r
+        system.tangent(A)
+
+    def monitor(snes, iteration, norm):
+        factor = snes.getRhs().dot(unscaled) / unscaled.dot(unscaled)
+        found.append((snes.getSolution().array_r[crown], factor, norm / unscaled.norm()))
+
+    options = {
+        "snes_type": "newtonal",
+        "snes_newtonal_step_size": 3.0,
+        "snes_newtonal_psisq": 0,
+        "snes_newtonal_lambda_min": -1,
+        "snes_newtonal_lambda_max": loads[-1],
+        "snes_rtol": 1e-9,
+        "ksp_type": "preonly",
+        "pc_type": "lu",
+    }
+    for key, value in options.items():
+        PETSc.Options()["newtonal_" + key] = value
+    snes = PETSc.SNES().create(MPI.COMM_SELF)
+    snes.setOptionsPrefix("newtonal_")
+    snes.setFunction(residual, b)
+    snes.setJacobian(tangent, A)
+    snes.setMonitor(monitor)
+    snes.setFromOptions()
+    snes.solve(dead, dead.duplicate())
+    for key in options:
+        PETSc.Options().delValue("newtonal_" + key)
+    theirs = np.array([(x, factor) for x, factor, norm in found if norm < 1e-9 and x < 0])
+    assert len(theirs) > 20 and np.ptp(np.sign(np.diff(theirs[:, 1]))) == 2
+    inside_ours = theirs[:, 0] > crowns[-1]
+    on_path = np.interp(-theirs[inside_ours, 0], -crowns, loads)
+    assert np.abs(theirs[inside_ours, 1] - on_path).max() < 0.01 * loads.max()

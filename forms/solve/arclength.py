@@ -13,10 +13,12 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 from dolfinx import fem
+from numpy.typing import NDArray
 
 from ..assembly import System
 from ..supports import Support
 from .bordered import Bordered
+from .checkpoint import Archive, Checkpoint, Saved
 from .path import Path, Step, check_record, failure, recorded
 from .progress import bar_of
 
@@ -43,6 +45,7 @@ def arc_length(
     max_iterations: int = 15,
     record: Mapping[str, Callable[[System], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
+    checkpoint: Checkpoint | None = None,
     progress: bool = True,
 ) -> Path:
     """Follow an equilibrium path by its length: over limit points of load and displacement.
@@ -55,7 +58,7 @@ def arc_length(
 
     Args:
         potential: Total potential [J] of u that contains q.
-        u: Unknown, starting from its present values, in equilibrium.
+        u: Unknown, starting from its present values, in equilibrium at the present q or near it.
         supports: Prescribed displacements; they do not depend on q.
         q: Load factor, found along.
         step: Change of q in the first step; its sign is the direction in which the path is left.
@@ -72,6 +75,8 @@ def arc_length(
         max_iterations: Newton iterations per step.
         record: Functions of the system, evaluated after each step.
         on_step: Called with the path after each step.
+        checkpoint: Where the path is saved, and taken up when the script is started again; see
+            :class:`forms.Checkpoint`.
         progress: Show a line of progress on rank 0.
 
     Returns:
@@ -89,9 +94,26 @@ def arc_length(
     before, load = u.x.array.copy(), problem.load
     bar = bar_of("arc length", None, problem.system.comm, progress)
     plane, ended = _Plane(problem, along), ""
+    archive = None if checkpoint is None else Archive(checkpoint, u, "path of arc_length")
+
+    def ending() -> str:
+        if to is not None and load == to:
+            return f"Load factor {to:.6g} reached"
+        if until is not None and path.steps and until(problem.system):
+            return "The end of the path reached"
+        return f"{steps} steps taken" if len(path.steps) >= steps else ""
+
     try:
+        outcome = problem.solve(_Load(problem, load))  # where the start is not in equilibrium
+        if not outcome.converged:
+            raise failure(path, f"{outcome.sentence()}, at the start, q = {load:.6g}.")
+        before = u.x.array.copy()
         length = plane.first(step)
         least = SHORTEST * length
+        if archive is not None and (saved := archive.read()) is not None:
+            length = _resume(saved, path, plane)
+            before, load, ended = u.x.array.copy(), problem.load, ending()
+            start -= path.seconds
         while not ended:
             length = min(length, largest * problem.scaled.size / plane.largest)
             plane.leave(length)
@@ -107,7 +129,6 @@ def arc_length(
                     outcome = problem.solve(_Load(problem, to))
                     if not outcome.converged:
                         raise failure(path, f"{outcome.sentence()}, at the load factor {to}.")
-                    ended = f"Load factor {to:.6g} reached"
                 before, load = u.x.array.copy(), problem.load
                 plane.accept()
                 path.steps.append(Step(load, outcome, recorded(record, problem.system)))
@@ -115,11 +136,12 @@ def arc_length(
                 bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
                     on_step(path)
-                if not ended and until is not None and until(problem.system):
-                    ended = "The end of the path reached"
-                if not ended and len(path.steps) == steps:
-                    ended = f"{steps} steps taken"
                 length *= float(np.clip(np.sqrt(DESIRED / max(outcome.iterations, 1)), 0.5, 1.5))
+                ended = ending()
+                if archive is not None:
+                    path.seconds = time.perf_counter() - start
+                    states = (before, plane.direction())
+                    archive.write(states, path.steps, _control(path, plane, length), bool(ended))
                 continue
             path.refused += 1
             u.x.array[:], q.value = before, load
@@ -141,6 +163,25 @@ def arc_length(
     return path
 
 
+def _control(path: Path, plane: _Plane, length: float) -> dict[str, Any]:
+    """What a checkpoint keeps beside the state and the direction."""
+    numbers = {"length": length, "slope": plane.slope, "negative": plane.negative}
+    return {**numbers, "refused": path.refused, "seconds": path.seconds}
+
+
+def _resume(saved: Saved, path: Path, plane: _Plane) -> float:
+    """Take a path up where a checkpoint holds it; length of the next step. Collective."""
+    control = saved.control
+    path.steps += [Step(*step) for step in saved.steps]
+    path.refused, path.seconds = control["refused"], control["seconds"]
+    path.resumed = path.load
+    plane.resume(saved.states[1], control["slope"], control["negative"])
+    path.u.x.array[:] = saved.states[0]
+    plane.problem.q.value = path.load
+    plane.accept()
+    return float(control["length"])
+
+
 class _Plane:
     """The constraint t . (y - y_n) = s in the scaled unknown, over its displacements."""
 
@@ -155,24 +196,40 @@ class _Plane:
     def first(self, step: float) -> float:
         """Set the first tangent; length of the first step."""
         problem = self.problem
-        problem.scaled.measure()
         self.negative = problem.tangent()
         norm = self._take(problem.du_q, -1.0)
         if norm == 0:
             raise ValueError("the load does not move the body: nothing to follow.")
         length, self.slope = abs(step) * norm, 1 / norm
         if self._along is not None:
-            before = problem.system.u.x.array.copy()
-            problem.system.u.x.array[:] = self._along.x.array
-            problem.scaled.get(self.y)
-            problem.system.u.x.array[:] = before
-            self._take(self.y, 1.0)
+            self._turn(self._along.x.array)
             length, self.slope = abs(step) / self.largest, 0.0
         if step < 0:
             self.t.scale(-1)
             self.slope *= -1
         problem.scaled.get(self.base)
         return length
+
+    def direction(self) -> NDArray[np.float64]:
+        """The tangent as values of the unknown."""
+        values = fem.Function(self.problem.system.u.function_space)
+        values.x.petsc_vec.pointwiseMult(self.t, self.problem.scaled.D)
+        values.x.scatter_forward()
+        return values.x.array
+
+    def resume(self, direction: NDArray[np.float64], slope: float, negative: int | None) -> None:
+        """Take the tangent of an earlier path."""
+        self._turn(direction)
+        self.slope, self.negative = slope, negative
+
+    def _turn(self, direction: NDArray[np.float64]) -> None:
+        """Make t the unit vector of values of the unknown."""
+        u = self.problem.system.u
+        before = u.x.array.copy()
+        u.x.array[:] = direction
+        self.problem.scaled.get(self.y)
+        u.x.array[:] = before
+        self._take(self.y, 1.0)
 
     @property
     def largest(self) -> float:

@@ -97,7 +97,7 @@ class Bordered:
         self.scaled = Scaled(self.system, self.A)
         self.R, self.R_q, self.du, self.du_q, self.g_u = (self.b.duplicate() for _ in range(5))
         self.damping: Damping | None = None
-        self._fresh = True  # not solved yet: the start may be flat
+        self.fresh = True  # not solved yet: the start may be flat
         self.ksp = PETSc.KSP().create(self.system.comm)
         self.ksp.setOptionsPrefix(PREFIX)
         options, preset = PETSc.Options(), linear.direct(self.system.symmetric)
@@ -135,14 +135,14 @@ class Bordered:
             if small and abs(off) <= self.rtol * constraint.scale:
                 converged = correction <= self.ctol * self.scaled.size
                 if converged:
-                    self._fresh = False
+                    self.fresh = False
                     reason = "both tolerances reached"
                     break
             if iteration == self.most:
                 break
             g_q = constraint.gradient(self.g_u)
             # A flat sheet's K is singular, and MUMPS need not notice.
-            dq = self._step(off, g_q, damped=iteration == 0 and self._fresh and self.can_damp)
+            dq = self._step(off, g_q, damped=iteration == 0 and self.fresh and self.can_damp)
             if dq is None:
                 reason = "the linear solver failed"
                 break
@@ -170,7 +170,7 @@ class Bordered:
         """
         self.assemble(self._R_q, self.R_q)
         self.scaled.tangent()
-        if self._fresh and self.can_damp:
+        if self.fresh and self.can_damp:
             self._damp()
         self.ksp.setOperators(self.A)
         self.ksp.solve(self.R_q, self.du_q)

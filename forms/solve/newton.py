@@ -106,9 +106,10 @@ class Newton:
     thousandth of the force level, then |R|; otherwise |R| from the start. It refuses states with an
     energy or residual that is not finite. If lowering the energy fails (an indefinite tangent gives
     no descent, a singular one no direction) the same state goes on with the projected and damped
-    tangent (:class:`forms.solve.damping.Damping`), near the solution with the full one, and if that
-    fails with the projected one to the end; if the multigrid preset fails, with MUMPS. Each of
-    these runs may take snes_max_it iterations, damped ones MOST_DAMPED.
+    tangent (:class:`forms.solve.damping.Damping`), near the solution with the full one. Without an
+    energy to lower, full steps from the start are tried where the descent of |R| creeps. If the
+    multigrid preset fails, MUMPS. Each of these runs may take snes_max_it iterations, damped ones
+    MOST_DAMPED.
 
     Args:
         system: What to solve.
@@ -174,10 +175,16 @@ class Newton:
         for key, value in {**base, **preset, **self._user}.items():
             database[self.prefix + key] = value
         self.snes = self._by_residual = self._create(None)
+        self._full: PETSc.SNES | None = None
         if self.system.minimization:
             # An objective once set cannot be taken back; the factorization is shared.
             self._by_residual = self._create(self.snes.getKSP())
             self.snes.setObjective(self._objective)
+        elif "snes_linesearch_type" not in self._user:
+            # Newton's own steps, for where the descent of |R| gets slow.
+            database[self.prefix + "snes_linesearch_type"] = "basic"
+            self._full = self._create(self.snes.getKSP())
+            database[self.prefix + "snes_linesearch_type"] = base["snes_linesearch_type"]
         own = "pc_type" not in self._user
         self._kept = Kept(self.system, self.snes.getKSP(), preset if own else {}, self.prefix)
 
@@ -212,7 +219,8 @@ class Newton:
         self._solved = True
         objective = system.minimization
         self._projecting = self.projection == "always"
-        self._near = NEAR
+        self._near, self._stepping = NEAR, False
+        start = self.x.copy()
         outcome = self._run(objective)
         while True:
             code = outcome.code
@@ -233,10 +241,16 @@ class Newton:
             elif code in (-5, -6) and self._near > NEAREST and self._may_damp():
                 # |R| has local minima where sheets turn slack or taut: go on downhill, nearer.
                 objective, self._near = True, self._near / 100
+            elif code in (-5, -6) and self._full is not None and not self._stepping:
+                # |R| is no measure of the distance where bending is much softer than stretching:
+                # full steps, from the start, go where a descent of |R| creeps.
+                self._stepping = True
+                start.copy(self.x)
             else:
                 break
             outcome = self._run(objective, outcome)
         self._kept.renew()
+        start.destroy()
         self._imbalance = None
         return outcome
 
@@ -372,12 +386,16 @@ class Newton:
         if self._damping is not None:
             self._damping.destroy()
         vectors = (self.b, self.x, self._x_before, self.scaled)
+        if self._full is not None:
+            self._full.destroy()
         for item in (self.snes, self._by_residual, self.A, *vectors):
             item.destroy()
 
     def _run(self, objective: bool, before: Convergence | None = None) -> Convergence:
         """One SNES solve from self.x, its counts added to those of an earlier one."""
         snes = self.snes if objective else self._by_residual
+        if self._stepping and self._full is not None:
+            snes = self._full
         self._energetic, self._resumed = objective, before is not None
         damped = self._projecting or self._damping is not None
         if "snes_max_it" not in self._user:
