@@ -36,6 +36,7 @@ class System:
         minimization: Whether the solution minimizes the energy: a potential of the displacement
             alone, with no load that is a virtual work.
         symmetric: Whether the tangent is symmetric.
+        constants: Constants in the forms.
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
     """
 
@@ -48,7 +49,7 @@ class System:
     _tangent: fem.Form
     _tangent_form: ufl.Form
     _dependents: list[Dependent]
-    _constants: tuple[fem.Constant, ...]
+    constants: tuple[fem.Constant, ...]
     constrained: NDArray[np.int32] = field(init=False)
     _projected: fem.Form | None = field(init=False, default=None)
 
@@ -79,7 +80,7 @@ class System:
         """Whether the forms or the supports contain a constant."""
         if self._dependents:  # they may contain it unseen
             return True
-        inside = list(self._constants)
+        inside = list(self.constants)
         for support in self.supports:
             for part in support.parts:
                 if part.expression is not None:
@@ -250,7 +251,7 @@ def system(
         _tangent=compiled(K),
         _tangent_form=K,
         _dependents=[c for c in found if not isinstance(c, Jet)],
-        _constants=tuple(c for part in parts for c in extract_constants(part)),
+        constants=tuple(c for part in parts for c in extract_constants(part)),
     )
 
 

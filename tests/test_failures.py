@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import ufl
 from cases import at_plane, bending, unit_mesh, whole
+from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 import forms
@@ -164,6 +165,39 @@ def test_linear_solvers_agree(linear):
     ksp_its = path.steps[0].convergence.linear_iterations
     assert (ksp_its > 2 * path.steps[0].convergence.iterations) == (linear == "gamg")
     assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("pc", ["cholesky", "jacobi", "gamg"])
+def test_a_trust_region_reaches_the_same_state(pc):
+    """SNES newtontr with Steihaug's conjugate gradients, by options alone."""
+    mesh = unit_mesh(3, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    options = {"snes_type": "newtontr", "ksp_type": "stcg", "pc_type": pc, "snes_max_it": 100}
+    path = forms.solve(psi, u, supports, options=options, prefix="trust_", rtol=1e-12)
+    assert path.steps[0].convergence.negative is None
+    assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("start", "value", "message"),
+    [
+        (0.0, np.nan, "at the start: a Constant in the potential is nan or infinite"),
+        (-2.0, 1.0, "at the start: cells are inverted there, or a parameter is out of its range"),
+        (np.nan, 1.0, "at the start: the unknown holds nan or infinite"),
+    ],
+)
+def test_an_undefined_start_is_explained(start, value, message):
+    mesh = unit_mesh(2, 2)
+    u, mu = forms.displacement(mesh), fem.Constant(mesh, value)
+    u.interpolate(lambda x: (start * x[0], 0 * x[1]))
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, 1.0)
+    with pytest.raises(forms.NotConverged, match=message):
+        forms.solve(psi * ufl.dx, u, [forms.clamp(u, at_plane(mesh, 0, 0.0))])
 
 
 MIDDLE = [0.0, 0.15, 0.0]  # by the point symmetry of the sheared cube about its middle

@@ -4,7 +4,8 @@
 from .arclength import arc_length
 from .continuation import follow, solve
 from .control import control
-from .newton import Convergence, Newton, NotConverged
+from .convergence import Convergence, NotConverged
+from .newton import Newton
 from .path import Path, Step
 from .stability import lowest_modes, negative_eigenvalues
 

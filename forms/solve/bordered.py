@@ -30,8 +30,8 @@ from ..operators.lowering import compiled
 from ..supports import Support
 from ..variation import residual
 from . import linear
+from .convergence import Convergence
 from .damping import Damping
-from .newton import Convergence
 from .scaling import Scaled
 from .stability import inertia
 

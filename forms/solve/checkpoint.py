@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from .. import _dolfinx
 from .._parallel import on_rank_zero
-from .newton import Convergence
+from .convergence import Convergence
 from .order import NodeOrder
 
 if TYPE_CHECKING:

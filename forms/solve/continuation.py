@@ -16,7 +16,8 @@ from dolfinx import fem
 from ..assembly import System, system
 from ..supports import Support
 from .checkpoint import Archive, Checkpoint, Saved
-from .newton import Convergence, Newton
+from .convergence import Convergence
+from .newton import Newton
 from .path import Path, Step, check_record, failure, recorded
 from .progress import bar_of
 from .stability import instability

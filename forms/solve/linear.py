@@ -36,6 +36,21 @@ def multigrid(degree: int = 1) -> dict[str, str]:
     return {**krylov, **({"pc_type": "mg"} if degree > 1 else aggregation())}
 
 
+def field_split() -> dict[str, str]:
+    """GMRES with the block preconditioner of :mod:`forms.solve.fieldsplit`.
+
+    Preconditioned from the right: its tolerance is that of the out-of-balance forces.
+    """
+    return {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_gmres_restart": "100",
+        "ksp_rtol": "1e-2",
+        "ksp_max_it": "100",
+        "pc_type": "python",
+    }
+
+
 def aggregation() -> dict[str, str]:
     """Smoothed aggregation, with Gauss-Seidel smoothing."""
     return {

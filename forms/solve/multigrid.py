@@ -22,7 +22,8 @@ SLOWER = 3  # times the first solve's iterations, at which a preconditioner is b
 class Kept:
     """When a multigrid preconditioner is built: once per load step, and again when it slows down.
 
-    The smoothers always see the present tangent; what is kept are the coarser operators.
+    The smoothers always see the present tangent, and so do the blocks of a mixed unknown; what is
+    kept are the coarser operators.
 
     Args:
         system: Problem that is solved.
@@ -38,9 +39,17 @@ class Kept:
     def __init__(
         self, system: System, ksp: PETSc.KSP, preset: Mapping[str, str], prefix: str
     ) -> None:
-        self.used = preset.get("ksp_type") == "cg"
-        by_order = self.used and preset.get("pc_type") == "mg"
-        self._levels = OrderMultigrid(system, ksp, prefix) if by_order else None
+        from .fieldsplit import FieldSplit  # which has a use for multigrid itself
+
+        self.used = preset.get("ksp_type") in ("cg", "gmres")
+        self._levels: OrderMultigrid | None = None
+        self._blocks: FieldSplit | None = None
+        kind = preset.get("pc_type") if self.used else None
+        if kind == "mg":
+            V = system.u.function_space
+            self._levels = OrderMultigrid(V, system.constrained, ksp, prefix)
+        elif kind == "python":
+            self._blocks = FieldSplit(system, ksp, prefix)
         self._ksp, self.stale, self._due, self._first = ksp, False, True, 0
 
     def renew(self) -> None:
@@ -54,6 +63,8 @@ class Kept:
         self._ksp.getPC().setReusePreconditioner(not self._due)
         if self._due and self._levels is not None:
             self._levels.update(A)
+        if self._blocks is not None:
+            self._blocks.update(A, coarse=self._due)
         if self._due:
             self._first = 0
         self.stale, self._due = not self._due, False
@@ -66,9 +77,10 @@ class Kept:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        if self._levels is not None:
-            self._levels.destroy()
-        self.used, self._levels = False, None
+        for item in (self._levels, self._blocks):
+            if item is not None:
+                item.destroy()
+        self.used, self._levels, self._blocks = False, None, None
 
 
 class OrderMultigrid:
@@ -80,17 +92,25 @@ class OrderMultigrid:
     whose rows have hundreds of entries.
 
     Args:
-        system: Displacement problem of degree 2 or more.
+        V: Space of displacements of degree 2 or more.
+        constrained: Local numbers of the owned rows that are supported.
         ksp: Solver whose preconditioner this is; its other options are left alone.
         prefix: Prefix of the coarse solver's options.
+        order: Owned degrees of freedom of V in the order of the rows, where it is another one.
     """
 
-    def __init__(self, system: System, ksp: PETSc.KSP, prefix: str) -> None:
-        V = system.u.function_space
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        constrained: NDArray[np.int32],
+        ksp: PETSc.KSP,
+        prefix: str,
+        order: NDArray[np.intp] | None = None,
+    ) -> None:
         cell = V.mesh.basix_cell()
         element = basix.ufl.element("Lagrange", cell, 1, shape=(V.mesh.geometry.dim,))
         V1 = fem.functionspace(V.mesh, element)
-        self.P = _without_supports(fem_petsc.interpolation_matrix(V1, V), system.constrained)
+        self.P = _without_supports(fem_petsc.interpolation_matrix(V1, V), constrained, order)
         self._modes = linear.rigid_modes(V1)
         self.coarse: PETSc.Mat | None = None
         self._pc = ksp.getPC()
@@ -129,14 +149,22 @@ class OrderMultigrid:
             self.coarse.destroy()
 
 
-def _without_supports(P: PETSc.Mat, constrained: NDArray[np.int32]) -> PETSc.Mat:
+def _without_supports(
+    P: PETSc.Mat, constrained: NDArray[np.int32], order: NDArray[np.intp] | None = None
+) -> PETSc.Mat:
     """The interpolation with supported rows and columns emptied, but for a vertex onto itself.
 
     That entry keeps the diagonal of the coarse operator from being 0 at supports.
     """
     P.assemble()
     pointers, columns, values = P.getValuesCSR()
-    rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
+    sizes = P.getBlockSizes()
+    if order is not None:
+        entries = np.argsort(np.argsort(order)[_rows(pointers)], kind="stable")
+        columns, values, sizes = columns[entries], values[entries], (1, sizes[1])
+        lengths = np.diff(pointers)[order]
+        pointers = np.concatenate([[0], np.cumsum(lengths)]).astype(pointers.dtype)
+    rows = _rows(pointers)
     held = np.zeros(len(pointers) - 1)
     held[constrained] = 1
     # Interpolated values that are 0 are stored: a vertex' row is the one with a 1.
@@ -153,7 +181,12 @@ def _without_supports(P: PETSc.Mat, constrained: NDArray[np.int32]) -> PETSc.Mat
     row_held = held[rows] > 0.5
     values = np.where((row_held | column_held) & ~(row_held & column_held & vertex), 0.0, values)
     Q = PETSc.Mat().createAIJ(P.getSizes(), comm=P.comm, csr=(pointers, columns, values))
-    Q.setBlockSizes(*P.getBlockSizes())
+    Q.setBlockSizes(*sizes)
     for item in (P, flags, found, scatter, source):
         item.destroy()
     return Q
+
+
+def _rows(pointers: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Row of each stored entry."""
+    return np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))

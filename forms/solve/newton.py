@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -15,6 +14,7 @@ import numpy as np
 
 from ..assembly import System
 from . import linear
+from .convergence import REASONS, Convergence
 from .damping import Damping
 from .multigrid import Kept
 from .options import given, was_used
@@ -28,70 +28,11 @@ NEAR, NEAREST = 1e-3, 1e-7
 MOST, MOST_DAMPED, MOST_NEAR = 30, 200, 12
 # Damping below which a tangent's eigenvalues are its own.
 LIGHT = 1e-8
+NAN = "nan or infinite"
 
 CONVERGED_CODE, NEAR_CODE = 2, 3  # SNES_CONVERGED_FNORM_ABS and _RELATIVE
 
 PROJECTIONS = ("auto", "always", "never")
-
-REASONS = {
-    -1: "the energy is not finite at the start",
-    -3: "the linear solver failed",
-    -4: "the residual is not finite",
-    -5: "the iterations were used up",
-    -6: "the line search found no lower value",
-    -8: "a local minimum of the residual was reached",
-    -9: "the residual grew too large",
-    -11: "the trust region became too small",
-    -14: "the energy is not finite",  # a code later than PETSc 3.22
-}
-
-
-class NotConverged(RuntimeError):
-    """A solve that did not reach its tolerances; the unknown holds the last converged state."""
-
-    path: Any = None
-
-
-@dataclass(frozen=True)
-class Convergence:
-    """How a Newton solve ended.
-
-    Attributes:
-        converged: Whether both tolerances were reached.
-        reason: Why it stopped, in words.
-        code: PETSc's SNESConvergedReason.
-        iterations: Newton iterations.
-        projected: Those of them that used the projected tangent.
-        linear_iterations: Iterations of the linear solver in all.
-        residual: Norm of the out-of-balance forces at free degrees of freedom [N].
-        force_level: Force [N] that the residual is compared with.
-        correction: Largest last change of a displacement component [m].
-        residuals: Norm of the out-of-balance forces at the start and after each iteration [N].
-        negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
-            is stable; None where it is not known (multigrid, LU, projected, damped tangents).
-    """
-
-    converged: bool
-    reason: str
-    code: int
-    iterations: int
-    projected: int
-    linear_iterations: int
-    residual: float
-    force_level: float
-    correction: float
-    residuals: tuple[float, ...] = ()
-    negative: int | None = None
-
-    def sentence(self) -> str:
-        """One sentence: outcome, iterations, norms."""
-        verb = "converged" if self.converged else "stopped"
-        projected = f", {self.projected} of them projected" if self.projected else ""
-        return (
-            f"SNES {verb} after {self.iterations} iterations{projected} ({self.reason}), "
-            f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}, "
-            f"last correction {self.correction:.1e}"
-        )
 
 
 class Newton:
@@ -185,6 +126,7 @@ class Newton:
             database[self.prefix + "snes_linesearch_type"] = "basic"
             self._full = self._create(self.snes.getKSP())
             database[self.prefix + "snes_linesearch_type"] = base["snes_linesearch_type"]
+        self.snes.getKSP().setPostSolve(self._hold)
         own = "pc_type" not in self._user
         self._kept = Kept(self.system, self.snes.getKSP(), preset if own else {}, self.prefix)
 
@@ -215,7 +157,7 @@ class Newton:
         self.scaled.put(self.x)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
-            return Convergence(False, REASONS[-1], -1, 0, 0, 0, np.inf, 0.0, np.inf)
+            return Convergence(False, self._undefined(), -1, 0, 0, 0, np.inf, 0.0, np.inf)
         self._solved = True
         objective = system.minimization
         self._projecting = self.projection == "always"
@@ -253,6 +195,15 @@ class Newton:
         start.destroy()
         self._imbalance = None
         return outcome
+
+    def _undefined(self) -> str:
+        """Why the energy is not finite at the start, in words. Collective."""
+        system = self.system
+        if not all(np.all(np.isfinite(c.value)) for c in system.constants):
+            return f"{REASONS[-1]}: a Constant in the potential is {NAN}"
+        if not np.isfinite(system.u.x.petsc_vec.norm()):
+            return f"{REASONS[-1]}: the unknown holds {NAN}"
+        return f"{REASONS[-1]}: cells are inverted there, or a parameter is out of its range"
 
     def _may_project(self) -> bool:
         """Whether the projected tangent is still to be tried."""
@@ -320,7 +271,8 @@ class Newton:
         system.lifted_residual(self.b)
         self.b.pointwiseMult(self.b, self.scaled.D)
         self.b.scale(-1)
-        self.b.array[system.constrained] = jump.array_r[system.constrained]
+        # Not the jump itself, a length among forces: it is prescribed below.
+        self.b.array[system.constrained] = 0
         start = self.x.copy()
         self._carry(self.b)
         for x in (self.x, start):  # without the carried step where that leaves no finite energy
@@ -455,6 +407,10 @@ class Newton:
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         self.scaled.put(x)
         self._assemble_tangent()
+
+    def _hold(self, ksp: PETSc.KSP, b: PETSc.Vec, step: PETSc.Vec) -> None:
+        """Keep supports exact: multigrid's coarse levels may move them by its tolerance."""
+        step.array[self.system.constrained] = 0
 
     def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Stiffen the damping until the step lowers the energy; whether the step was changed."""

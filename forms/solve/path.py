@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import fem
 
 from ..assembly import System
-from .newton import Convergence, NotConverged
+from .convergence import Convergence, NotConverged
 from .stability import instability
 from .supported import free_motions
 

@@ -107,10 +107,11 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
 def inertia(ksp: PETSc.KSP, system: System) -> int | None:
     """Negative eigenvalues of the matrix last factorized, those of pressures left out.
 
-    None where the solver has no LDL^T factors.
+    None where the solver has no LDL^T factors of MUMPS.
     """
     pc = ksp.getPC()
-    if pc.getType() != "cholesky" or not system.symmetric or ksp.getConvergedReason() < 0:
+    counted = pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
+    if not counted or not system.symmetric or ksp.getConvergedReason() < 0:
         return None
     return _negative_pivots(pc) - system.pressures
 
