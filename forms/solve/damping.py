@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..assembly import System
 from . import linear
 
-FIRST, LEAST, MOST = 1e-6, 1e-10, 1e4
+FIRST, LEAST, MOST = 1e-6, 1e-10, 1e2
 EASED, STIFFENED = 5.0, 100.0
 
 

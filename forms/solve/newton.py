@@ -23,7 +23,7 @@ from .stability import inertia
 
 # Below this fraction of the force level the search goes by |R|: differences of the energy are
 # quadratic in |R| and drown in its rounding long before |R| reaches a tight tolerance.
-NEAR, NEAREST = 1e-3, 1e-7
+NEAR, NEARER = 1e-3, 1e-5
 # Newton iterations of a run; a sheet of wrinkles that turns slack and taut takes its time.
 MOST, MOST_DAMPED, MOST_NEAR = 30, 200, 12
 # Damping below which a tangent's eigenvalues are its own.
@@ -121,7 +121,7 @@ class Newton:
             # An objective once set cannot be taken back; the factorization is shared.
             self._by_residual = self._create(self.snes.getKSP())
             self.snes.setObjective(self._objective)
-        elif "snes_linesearch_type" not in self._user:
+        if "snes_linesearch_type" not in self._user:
             # Newton's own steps, for where the descent of |R| gets slow.
             database[self.prefix + "snes_linesearch_type"] = "basic"
             self._full = self._create(self.snes.getKSP())
@@ -180,14 +180,15 @@ class Newton:
                 pass
             elif code in (-6, NEAR_CODE) and objective:
                 objective = self._projecting = False
-            elif code in (-5, -6) and self._near > NEAREST and self._may_damp():
+            elif code in (-5, -6) and self._near == NEAR and self._may_damp():
                 # |R| has local minima where sheets turn slack or taut: go on downhill, nearer.
-                objective, self._near = True, self._near / 100
-            elif code in (-5, -6) and self._full is not None and not self._stepping:
+                objective, self._near = True, NEARER
+            elif code in (-5, -6) and not self._stepping and self._may_step(outcome):
                 # |R| is no measure of the distance where bending is much softer than stretching:
-                # full steps, from the start, go where a descent of |R| creeps.
-                self._stepping = True
-                start.copy(self.x)
+                # full steps go where a descent of |R| creeps, from the start or from nearby.
+                objective, self._projecting, self._stepping = False, False, True
+                if not system.minimization:
+                    start.copy(self.x)
             else:
                 break
             outcome = self._run(objective, outcome)
@@ -215,6 +216,11 @@ class Newton:
             return False
         return True
 
+    def _may_step(self, outcome: Convergence) -> bool:
+        """Whether full steps are to be tried: with an energy only from near the solution."""
+        near = outcome.residual <= NEAR * outcome.force_level
+        return self._full is not None and (near or not self.system.minimization)
+
     def _may_damp(self) -> bool:
         """Whether the steps are damped, from now on if need be."""
         if self._damping is None and self._may_project():
@@ -228,8 +234,9 @@ class Newton:
         self._kept.destroy()
         for key in self._preset:
             PETSc.Options().delValue(self.prefix + key)
-        for snes in (self.snes, self._by_residual):
-            snes.destroy()
+        for snes in (self.snes, self._by_residual, self._full):
+            if snes is not None:
+                snes.destroy()
         self._preset = linear.direct(self.system.symmetric)
         self._build(self._preset)
         return True
