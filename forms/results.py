@@ -45,9 +45,16 @@ def resultant(
     Returns:
         Force [N] and moment [N m], shape (3,) each, alike on all ranks. On a plane mesh the third
         force and the first two moments are 0, and both are per unit thickness.
+
+    Raises:
+        ValueError: no facets on any rank, or a point of another dimension.
     """
     system = getattr(system, "system", system)
     V = system.u.function_space
+    if np.shape(about) not in ((V.mesh.geometry.dim,), (3,)):
+        raise ValueError(f"about is a point of {V.mesh.geometry.dim} coordinates, got {about}.")
+    center = np.zeros(3)
+    center[: len(about)] = about
     facets = _checks.facets(V.mesh, facets)
     b = system.create_vector()
     system.residual(b)
@@ -62,7 +69,7 @@ def resultant(
     b.destroy()
     x[:] = W.tabulate_dof_coordinates()[nodes]
     x[:, :dim] += system.u.x.array[parent]
-    x -= np.asarray(about, float)
+    x -= center
     local = np.concatenate([R.sum(axis=0), np.cross(x, R).sum(axis=0)])
     total = system.comm.allreduce(local)
     return total[:3], total[3:]

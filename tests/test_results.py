@@ -47,6 +47,8 @@ def test_moment_moves_with_its_point(sheared):
     """M(c) = M(0) - c x force."""
     mesh, _, _, path = sheared
     force, moment = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    with pytest.raises(ValueError, match=r"about is a point of 3 coordinates, got \(1, 2\)"):
+        forms.resultant(path.system, at_plane(mesh, 2, 1.0), about=(1, 2))
     _, moved = forms.resultant(path.system, at_plane(mesh, 2, 1.0), about=(1, 2, 3))
     assert moved == pytest.approx(moment - np.cross([1, 2, 3], force), abs=1e-12)
 
