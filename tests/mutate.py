@@ -4,8 +4,9 @@
 ``docker/enter python3 -m tests.mutate --count 300 --seed 1 --minutes 60`` copies the repository
 into a scratch folder, changes one operator, sign, comparison, constant or term at a time there, and
 runs the tests of that module. It prints which mutants survive; a second call with the same folder
-goes on where the first stopped (remove the folder when the sources have changed). Not part of the
-test suite: it takes an hour.
+goes on where the first stopped (remove the folder when the sources have changed). With
+``--survivors LOG`` and another folder it runs what the log.jsonl of an earlier run does not say was
+caught, after tests have been added. Not part of the test suite: it takes hours.
 """
 
 from __future__ import annotations
@@ -184,6 +185,12 @@ def run(copy: Path, cache: Path, files: list[str], limit: float) -> tuple[str, s
     return ("passed" if process.returncode == 0 else "failed"), (last[0][:160] if last else "")
 
 
+def outcomes(log: Path) -> dict[Mutant, str]:
+    """What a run has written."""
+    rows = map(json.loads, log.read_text().splitlines())
+    return {Mutant(*row["mutant"]): row["outcome"] for row in rows}
+
+
 def difference(mutant: Mutant, source: bytes) -> list[str]:
     """Changed lines, with the number of the first."""
     old, new = (x.decode().splitlines() for x in (source, mutant.applied(source)))
@@ -201,6 +208,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--limit", type=float, default=300.0, help="seconds for one mutant")
     parser.add_argument("--only", default="", help="part of the path, as operators/kernels")
     parser.add_argument("--folder", type=Path, default=Path("results/mutants"), help="scratch")
+    parser.add_argument(
+        "--survivors",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="earlier runs of the same sources: count what they caught, run the others",
+    )
     given = parser.parse_args(arguments)
     end = time.monotonic() + 60 * given.minutes
     copy, cache, log = (given.folder.resolve() / name for name in ("copy", "cache", "log.jsonl"))
@@ -216,12 +231,13 @@ def main(arguments: list[str] | None = None) -> None:
     every = [m for path, source in sources.items() for m in mutants(path, source)]
     sample = random.Random(given.seed).sample(every, min(given.count, len(every)))
     sample = [m for m in sample if given.only in m.path]
-    print(f"{len(every)} mutants, {len(sample)} in the sample", flush=True)
     done = {}
+    for earlier in given.survivors:
+        done |= {m: outcome for m, outcome in outcomes(earlier).items() if outcome != "passed"}
     if log.exists():
-        for line in log.read_text().splitlines():
-            row = json.loads(line)
-            done[Mutant(*row["mutant"])] = row["outcome"]
+        done |= outcomes(log)
+    todo = sum(mutant not in done for mutant in sample)
+    print(f"{len(every)} mutants, {len(sample)} in the sample, {todo} to run", flush=True)
     checked: set[str] = set()
     for mutant in sample:
         if mutant in done:

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Energies in singular values inside forms: equal to plain UFL wherever UFL can say the same."""
 
+import ctypes
 import gc
+import json
+import shlex
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -15,7 +21,8 @@ from dolfinx.mesh import CellType
 
 import forms
 import meshes
-from forms import _dolfinx, energies, stress
+from forms import _dolfinx, _jit, energies, stress
+from forms.operators.library import library
 
 PAIRS = {
     "neo_hookean": (energies.neo_hookean, energies.neo_hookean_stretches),
@@ -644,3 +651,168 @@ def test_a_missing_compiler_is_named(ranks, run, tmp_path, monkeypatch):
     out = run("-c", NO_COMPILER, ranks=ranks).stdout
     assert out.count("compiling the operators' kernels failed") == ranks
     assert out.count("is a C compiler installed (no-such-compiler)") == ranks
+
+
+def test_the_clamp_is_1e_6():
+    """Unless told otherwise T = (psi_2 + psi_3) / 1e-6 where s = (1, x, -x)."""
+    F = np.diag([1.0, 0.5, -0.5])[None]
+    for energy in (
+        energies.as_rigid_as_possible,
+        energies.principal(lambda s1, s2, s3, mu: mu * s1 * s2 * s3 + s1 + s2 + s3),
+    ):
+        P, A = energy.evaluate(F, MU)
+        T = A[0, 1, 2, 1, 2] - A[0, 1, 2, 2, 1]
+        assert T == pytest.approx((P[0, 1, 1] + P[0, 2, 2]) / 1e-6, rel=1e-12)
+
+
+def test_64_parameters_act_and_65_are_refused(rng):
+    def weighted(s1, s2, s3, mu):
+        total = sum((k + 1) * m for k, m in enumerate(mu))
+        return total * ((s1 - 1) ** 2 + (s2 - 1) ** 2 + (s3 - 1) ** 2)
+
+    F = np.eye(3)[None] + 0.1 * rng.normal(size=(1, 3, 3))
+    mu = rng.uniform(1, 2, 64)
+    found = energies.principal(weighted).energy(F, mu.tolist())[0]
+    wanted = energies.as_rigid_as_possible.energy(F, mu @ np.arange(1, 65))[0]
+    assert found == pytest.approx(wanted, rel=1e-13)
+    with pytest.raises(ValueError, match="may have 64 parameters, got 65"):
+        energies.principal(weighted).energy(F, [1.0] * 65)
+
+
+def test_16_functions_act_in_an_operand_and_17_are_refused(rng):
+    body = unit_mesh(2)
+    _, F = moved(body, rng)  # one function, and those of mu
+    parts = [fem.Function(fem.functionspace(body, ("DG", 0))) for _ in range(16)]
+    for part in parts:
+        part.x.array[:] = rng.uniform(1, 2, part.x.array.size)
+    plain, operator = PAIRS["neo_hookean"]
+
+    def energy(e, count):
+        mu = sum((k + 1) * part for k, part in enumerate(parts[:count]))
+        return forms.integral(e(F, mu, LMBDA) * ufl.dx)
+
+    assert energy(operator, 15) == pytest.approx(energy(plain, 15), rel=1e-12)
+    with pytest.raises(ValueError, match="may contain 16 functions, got 17"):
+        energy(operator, 16)
+
+
+def test_8_operators_act_in_an_integral_and_9_are_refused(rng):
+    _, F = moved(unit_mesh(2), rng)
+    plain, operator = PAIRS["neo_hookean"]
+
+    def energy(e, count):
+        psi = sum(e(k * F, MU, LMBDA) for k in range(1, count + 1))
+        return forms.integral(psi * ufl.dx(degree=1))
+
+    assert energy(operator, 8) == pytest.approx(energy(plain, 8), rel=1e-12)
+    with pytest.raises(ValueError, match="may have 8 energies in singular values at .* got 9"):
+        energy(operator, 9)
+
+
+def test_only_indefinite_cells_pay_for_eigenvalues():
+    """Rigid modes and unknowns without stiffness are no reason: a factorization tells that."""
+    lib, ffi = library(MPI.COMM_SELF)
+    lapack = ctypes.CDLL(PETSc.__file__)
+    factorize, eigen = (
+        ffi.cast("void *", ctypes.cast(f, ctypes.c_void_p).value)
+        for f in (lapack.dpotrf_, lapack.dsyev_)
+    )
+    kind = "void(*)(char *, char *, int *, double *, int *, double *, double *, int *, int *)"
+    solved, count = ffi.cast(kind, eigen), 0
+
+    def counted(*arguments):
+        nonlocal count
+        count += 1
+        solved(*arguments)
+
+    counting = ffi.callback(kind, counted)
+    body = unit_mesh(2, 2)
+    u = forms.displacement(body)
+    F = forms.deformation_gradient(u)
+    psi = energies.saint_venant_kirchhoff(F, MU, LMBDA)
+    cases = [(psi, 1.0, 0), (ufl.inner(ufl.grad(u[1]), ufl.grad(u[1])), 1.0, 0), (psi, 0.4, 8)]
+    lib.projection_set(factorize, counting)
+    try:
+        for potential, stretch, cells in cases:
+            u.interpolate(lambda x, stretch=stretch: (stretch - 1) * x[:2])
+            tangent = forms.tangent(forms.residual(potential * ufl.dx, u), u)
+            count = 0
+            fem.assemble_matrix(forms.compiled(tangent, project=True))
+            assert count == cells
+    finally:
+        lib.projection_set(factorize, eigen)
+
+
+ONE_RANK_FIRST = """
+from mpi4py import MPI
+from forms.operators.stretches import StretchFunction
+function = StretchFunction(lambda a, b: a**2 + b**2, 2, "psi_hat")
+if MPI.COMM_WORLD.rank == 0:
+    function.compiled(MPI.COMM_SELF)
+kernel, module = function.compiled(MPI.COMM_WORLD)
+points = MPI.COMM_WORLD.gather(kernel.num_points)
+if MPI.COMM_WORLD.rank == 0:
+    print(*points)
+"""
+
+
+def test_a_rank_that_has_compiled_alone_takes_part_again(run):
+    """Compiling is collective whatever a rank knows, and the jet is one of a single state."""
+    assert run("-c", ONE_RANK_FIRST, ranks=2, timeout=60).stdout.strip() == "1 1"
+
+
+SANITIZED = """
+import os
+os.environ.pop("LD_PRELOAD")  # the compiler goes without
+from mpi4py import MPI
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+import forms
+from forms import energies
+
+rng = np.random.default_rng(1)
+body = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+u = forms.displacement(body)
+u.x.array[:] = 0.4 * rng.normal(size=u.x.array.size)
+psi = energies.as_rigid_as_possible(forms.deformation_gradient(u), 1.0)
+for potential in psi * ufl.dx(degree=2), (psi + ufl.inner(u, u)) * ufl.dx(degree=2):
+    K = forms.tangent(forms.residual(potential, u), u)
+    assert np.isfinite(fem.assemble_matrix(forms.compiled(K, project=True)).data).all()
+
+
+def term(s):
+    return ufl.conditional(ufl.lt(s, 1), s**2, s**2 + (s - 1) ** 3) - s
+
+
+three = energies.principal(lambda a, b, c: term(a) + term(b) + term(c) - 2 * a * b * c)
+two = energies.principal(lambda a, b: term(a) + term(b) - 2 * a * b)
+for energy, shape in (three, (3, 3)), (two, (3, 2)), (two, (2, 2)):
+    F = np.eye(*shape) + 10 ** rng.uniform(-9, 0, (50, 1, 1)) * rng.normal(size=(50, *shape))
+    F[3:6] = 0
+    for n in 1, 5, 50:
+        for project in False, True:
+            assert np.isfinite(energy.evaluate(F[:n], project=project)[1]).all()
+print("finished")
+"""
+
+
+def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch):
+    """The compiler's sanitizers of addresses and bounds find nothing in the kernels."""
+    libraries = []
+    for name in "libasan.so", "libstdc++.so.6":
+        command = [*shlex.split(_jit.compiler()), f"-print-file-name={name}"]
+        found = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+        if not Path(found).is_absolute():
+            pytest.skip(f"the compiler has no {name}")
+        libraries.append(found)
+    flags = ["-O0", "-fsanitize=address,bounds", "-fsanitize-undefined-trap-on-error"]
+    flags += [f for f in _jit.flags(MPI.COMM_SELF) if f == "-march=native"]
+    options = {"cffi_extra_compile_args": flags}
+    (tmp_path / "dolfinx_jit_options.json").write_text(json.dumps(options))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("LD_PRELOAD", " ".join(libraries))
+    monkeypatch.setenv("ASAN_OPTIONS", "detect_leaks=0")
+    done = run("-c", SANITIZED, cwd=tmp_path)
+    assert done.stdout.strip() == "finished"
+    assert list((tmp_path / "cache" / "fenics").glob("libvariform_*"))

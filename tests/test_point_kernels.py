@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Laws of the compiled point kernels: singular values, stress and tangent of isotropic energies."""
 
+import importlib
 import math
+import shutil
 import zlib
 from types import SimpleNamespace
 
@@ -13,9 +15,10 @@ import reference
 import ufl
 from mpmath import mp
 
+from forms import energies
 from forms.operators.evaluate import evaluate
 from forms.operators.jets import Kind
-from forms.operators.library import library
+from forms.operators.library import describe, library
 from forms.operators.stretches import NOWHERE, StretchFunction
 
 CLAMP = 1e-6
@@ -55,6 +58,28 @@ class Kernels:
         out = dict(zip(want, evaluate(kind, numbers, levels, project), strict=True))
         lead = X.shape[:-2]
         return [out[a].reshape(lead + out[a].shape[1:]) if a in out else None for a in "WPA"]
+
+    def calls(self, psi_hat, X):
+        """How often the tangent at each operand of X evaluates psi_hat; the state itself is one."""
+        function = self.function(psi_hat, X.shape[-1], 0)
+        psi, _module = function.compiled(MPI.COMM_SELF)
+        record = self.ffi.new("operator_t *")
+        describe(self.ffi, record, Kind(function, X.shape[1:], False, False, CLAMP), psi)
+        compiled, count = record.psi, 0
+
+        def counted(*arguments):
+            nonlocal count
+            count += 1
+            compiled(*arguments)
+
+        record.psi = callback = self.ffi.callback("tabulate_t", counted)
+        A, none, calls = np.empty(2 * X.shape[1:]), self.ffi.NULL, []
+        for x in np.ascontiguousarray(X):
+            count = 0
+            self.lib.points(record, 1, self.pointer(x), 0, none, none, self.pointer(A))
+            calls.append(count)
+        del callback  # C held no reference to it
+        return np.array(calls)
 
     def pointer(self, array):
         return self.ffi.cast("double *", array.ctypes.data)
@@ -373,3 +398,134 @@ def test_parameters_follow_the_operand(kernels, rng):
     given = kernels.evaluate(general, F, parameters=moduli)
     for out, number in zip(given, kernels.evaluate(reference.fixed_corotated, F), strict=True):
         assert out == pytest.approx(number, rel=1e-14, abs=1e-14)
+
+
+def diagonals(*s):
+    """Diagonal matrices of the columns s."""
+    s = np.stack(np.broadcast_arrays(*s), axis=-1)
+    return s[:, None] * np.eye(s.shape[1])
+
+
+# Evaluations beside the state's own while the pair's gap is in a decade: what the kernels promise.
+SIMPSON, LOBATTO, GAUSS = 1, 2, 6
+DECADES = {(-14, -8): SIMPSON, (-7, -4): LOBATTO, (-3, -1.2): GAUSS, (-1, -0.5): 0}
+
+
+@every_energy
+def test_evaluations_of_a_difference_quotient(kernels, rng, psi_hat):
+    """D at a gap above 0.1 or at rest costs none, below 1e-8 one, below 1e-4 two, else six.
+
+    A rule that were wrong would never repeat the one before, and only cost time: the next is taken.
+    For polynomials of up to fourth order two evaluations are enough at every gap.
+    """
+    quartic = [reference.fixed_corotated, reference.corotated_linear, reference.arap]
+    quartic.append(reference.saint_venant_kirchhoff)
+    assert (kernels.calls(psi_hat, np.eye(3)[None]) == 1).all()
+    for decades, most in DECADES.items():
+        gap = 10 ** rng.uniform(*decades, 50)
+        calls = kernels.calls(psi_hat, diagonals(1 + gap, 1, 0.4))
+        assert calls.max() <= 1 + (min(most, LOBATTO) if psi_hat in quartic else most), decades
+
+
+@pytest.mark.parametrize(
+    "psi_hat", [e for e, kind in reference.ENERGIES.items() if kind.smooth and kind.inverted]
+)
+def test_evaluations_of_a_sum_quotient(kernels, rng, psi_hat):
+    """T of a smooth energy at s_2 + s_3 = gap costs as much as D at that gap."""
+    for decades, most in DECADES.items():
+        gap = 10 ** rng.uniform(*decades, 50)
+        assert kernels.calls(psi_hat, diagonals(2, 1, gap - 1)).max() <= 1 + most, decades
+
+
+def test_evaluations_where_a_derivative_jumps(kernels, rng):
+    """Halving ends 2^-30 from a third derivative's jump, and after 79 halvings of five points each.
+
+    A jump of the second derivative can only be divided: it takes all 79.
+    """
+    jump = lambda s, f: sum(f.where(x, 0.5, 0 * x, (x - 0.5) ** 2) for x in s)  # noqa: E731
+    gap, part = 10 ** rng.uniform(-12, -1.3, 200), rng.random(200)
+    F = diagonals(0.5 + part * gap, 0.5 - (1 - part) * gap, 0.2)
+    assert kernels.calls(reference.extended, F).max() <= 3 + 5 * (1 + 2 * 35)
+    assert kernels.calls(jump, F).max() <= 3 + 5 * (1 + 2 * 79)
+
+
+def test_difference_quotient_where_the_jump_is_weak(kernels, rng):
+    """ln^2 s + a (s - 1/2)_+^3 for a from 1e-10 to 30: two rules agree by chance at few states.
+
+    D is right to 1e-13 of dP/dF but for 1 state in 200, and there to 1e-9.
+    """
+
+    def kink(s, f, a):
+        return sum(f.ln(x) ** 2 + f.where(x, 0.5, 0 * x, a * (x - 0.5) ** 3) for x in s)
+
+    n = 4000
+    gap, part, a = 10 ** rng.uniform(-5, -1.5, n), rng.random(n), 10 ** rng.uniform(-10, 1.5, n)
+    F = diagonals(0.5 + part * gap, 0.5 - (1 - part) * gap, 0.3)
+    function = kernels.function(kink, 3, 1)
+    numbers = np.hstack([F.reshape(n, 9), a[:, None]])
+    (A,) = evaluate(Kind(function, (3, 3), False, False, CLAMP), numbers, (2,))
+    errors = np.empty(n)
+    with mp.workdps(40):
+        for k in range(n):
+            x, y = mp.mpf(F[k, 0, 0]), mp.mpf(F[k, 1, 1])
+            rise = 2 * (mp.log(x) / x - mp.log(y) / y) + 3 * mp.mpf(a[k]) * (x - mp.mpf(0.5)) ** 2
+            errors[k] = abs(A[k, 0, 1, 0, 1] + A[k, 0, 1, 1, 0] - float(rise / (x - y)))
+    errors /= np.abs(A).max(axis=(1, 2, 3, 4))
+    assert np.count_nonzero(errors > 1e-13) <= n // 200
+    assert errors.max() < 1e-9
+
+
+COUNTED = """static long swept;
+long sweeps(void) { const long n = swept; swept = 0; return n; }
+#define SWEEPS (swept++, 30)"""
+
+
+def test_rotations_end_by_themselves(tmp_path, monkeypatch, rng):
+    """Jacobi sweeps, the last of which finds nothing to do: at most 5 for random 3x3 matrices.
+
+    4 with two columns; 9 for singular ones, one by one and in lockstep; never the bound of 30.
+    """
+    module = importlib.import_module("forms.operators.library")
+    counting = shutil.copytree(module.SOURCE, tmp_path / "kernels")
+    text = (counting / "svd.h").read_text()
+    assert text.count("#define SWEEPS 30 ") == 1
+    (counting / "svd.h").write_text(text.replace("#define SWEEPS 30 ", f"{COUNTED} "))
+    monkeypatch.setattr(module, "SOURCE", counting)
+    kernels = Kernels()
+    kernels.ffi.cdef("long sweeps(void);")
+    for shape, usual in {(3, 3): 5, (3, 2): 4, (2, 2): 4}.items():
+        for label, F in reference.matrices(rng, *shape):
+            for together in (1, 4) if shape == (3, 3) else (1,):
+                most = 0
+                for k in range(0, len(F), together):
+                    kernels.lib.sweeps()
+                    kernels.svd(F[k : k + together])
+                    most = max(most, kernels.lib.sweeps())
+                assert most <= (usual if label == "random" else 9), (label, shape, together)
+
+
+def test_projection_of_any_hessian(rng):
+    """The Hessian of psi_hat, whatever it is, is replaced by the nearest semi-definite one.
+
+    psi_hat = (p - c) M (p - c) / 2 of the power sums p has the Hessian J^T M J where p = c.
+    """
+
+    def general(s1, s2, s3, M, c):
+        d = [s1**k + s2**k + s3**k - c[k - 1] for k in (1, 2, 3)]
+        squares = sum(m * x**2 for m, x in zip(M[:3], d, strict=True)) / 2
+        return squares + M[3] * d[0] * d[1] + M[4] * d[0] * d[2] + M[5] * d[1] * d[2]
+
+    n, s = 1000, np.array([2.0, 1.0, 0.4])
+    inverse = np.linalg.inv([np.ones(3), 2 * s, 3 * s**2])
+    H = rng.standard_normal((n, 3, 3))
+    H = H + H.swapaxes(1, 2) + rng.uniform(-2, 6, (n, 1, 1)) * np.eye(3)
+    M = inverse.T @ H @ inverse
+    entries = [M[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    centre = [float(np.sum(s**k)) for k in (1, 2, 3)]
+    F = np.tile(np.diag(s), (n, 1, 1))
+    _, A = energies.principal(general).evaluate(F, entries, centre, project=True)
+    values, vectors = np.linalg.eigh(H)
+    wanted = vectors * np.maximum(values, 0)[:, None] @ vectors.swapaxes(1, 2)
+    assert 0.2 < np.mean(values[:, 0] > 0) < 0.8
+    found = np.einsum("niijj->nij", A)
+    assert (np.abs(found - wanted).max(axis=(1, 2)) < 1e-12 * np.abs(H).max(axis=(1, 2))).all()

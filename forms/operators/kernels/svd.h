@@ -10,7 +10,7 @@
 #include <float.h>
 #include <math.h>
 
-#define SWEEPS 30 /* 4 to 6 suffice; a bound, so that no input can hang */
+#define SWEEPS 30 /* 4 to 6 suffice, 9 where F is singular; a bound: no input can hang */
 
 static inline double dot(const double a[3], const double b[3])
 {
