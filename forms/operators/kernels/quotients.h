@@ -89,7 +89,7 @@ static double bisect(const segment_t *q, double g0, double g1, double before, do
 {
   typedef struct { double a, width, ga, gb, before; } part_t;
   part_t stack[32];
-  int top = 0, budget = 80; /* parts; reached only where g is rough everywhere */
+  int top = 0, budget = 80; /* halvings; used up only where g is rough everywhere */
   double mean = 0;
   stack[0] = (part_t){0, 1, g0, g1, before};
   *error = 0;
