@@ -16,7 +16,7 @@ from ..assembly import System
 from ..operators.lowering import compiled
 from .multigrid import OrderMultigrid
 
-LEAST = 1e-3  # of the mean, of the weights of the pressure's mass matrix
+LEAST = 1e-8  # of the mean, of the weights of the pressure's mass matrix
 
 
 class FieldSplit:
@@ -62,7 +62,7 @@ class FieldSplit:
         self._solvers = [PETSc.KSP().create(self._comm) for _ in range(2)]
         pc = ksp.getPC()
         pc.setType("python")
-        pc.setPythonContext(self)
+        pc.setPythonContext(_Shell(self))
 
     def update(self, A: PETSc.Mat, coarse: bool) -> None:
         """Take the blocks of a tangent, its coarse operator too if it is to be. Collective."""
@@ -76,11 +76,11 @@ class FieldSplit:
             A.createSubMatrix(p, u, submat=self.B)
             A.createSubMatrix(p, p, submat=self.C)
         self._update_schur()
-        if coarse:
+        if coarse and self._levels is not None:
             self._levels.update(self.K)
 
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve for the pressure, then for the displacement; called by PETSc."""
+    def apply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve for the pressure, then for the displacement. Collective."""
         below, above = self._solvers
         self._g.array[:] = x.array_r[self._p]
         below.solve(self._g, self._dp)
@@ -152,8 +152,20 @@ class FieldSplit:
             item.destroy()
 
 
+class _Shell:
+    """What PETSc calls; it would also call a method destroy, with an argument."""
+
+    def __init__(self, blocks: FieldSplit) -> None:
+        self._blocks = blocks
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self._blocks.apply(x, y)
+
+
 def _squares(A: PETSc.Mat) -> NDArray[np.float64]:
     """Sum of the squares of each owned row."""
     pointers, _, values = A.getValuesCSR()
     rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
-    return np.bincount(rows, weights=values**2, minlength=len(pointers) - 1)
+    sums = np.zeros(len(pointers) - 1)
+    np.add.at(sums, rows, values**2)
+    return sums

@@ -300,6 +300,12 @@ class Newton:
             if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
                 self.x.axpy(1, du)
                 break
+            if self._kept.stale:
+                self._kept.renew()
+                continue
+            if self._leave_multigrid():  # a reset would take the levels from it
+                ksp = self.snes.getKSP()
+                continue
             ksp.reset()  # MUMPS does not forget a failure
             if not self._may_damp():
                 break

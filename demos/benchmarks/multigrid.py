@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Iterations and times of multigrid and of the field split over the size, beside MUMPS.
+
+A block 1 x 0.2 x 0.2, both ends clamped. Run ``docker/enter python3 -m demos.benchmarks.multigrid``
+(also under mpirun; names of elements after it choose some; ``--small``: toy sizes); one JSON line
+per row, and ``results/multigrid.csv``. "solve" is one tangent solve to 1e-8 for random forces at
+rest, with the iterations of the iterative solver; "twist" two load steps of 0.15 rad by Newton's
+method. Seconds of rank 0's CPU.
+"""
+
+import csv
+import json
+import sys
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+
+import forms
+import meshes
+from forms import energies
+from forms.solve import linear
+
+OUTPUT = Path("results")
+COMM = MPI.COMM_WORLD
+# Cells across the block's width; five times as many along it.
+SIZES = {
+    "P1": (12, 18),
+    "P2": (6, 10),
+    "Q2": (6, 10),
+    "P2-P1": (4, 6, 8),
+    "Q2-Q1": (4, 6, 8),
+}
+MOST_DIRECT = 80_000  # degrees of freedom; MUMPS above would want many GB
+
+
+def twisted(element, n):
+    """Unknown, load factor, potential and supports; incompressible where the element is mixed."""
+    cells = "hexahedron" if element[0] == "Q" else "tetrahedron"
+    body = meshes.block(COMM, (1.0, 0.2, 0.2), n=(5 * n, n, n), cells=cells)
+    t = forms.load_factor(body)
+    if "-" in element:
+        w = forms.displacement_pressure(body)
+        u, p = ufl.split(w)
+        F = forms.deformation_gradient(u)
+        psi = energies.with_pressure(energies.isochoric_neo_hookean(F, 1.0), F, p)
+    else:
+        w = forms.displacement(body, int(element[1]))
+        psi = energies.neo_hookean(forms.deformation_gradient(w), 1.0, 1.5)
+    held = [forms.clamp(w, body.facets("left"))]
+    held += [forms.rotate(w, body.facets("right"), angle=t, axis=(1, 0, 0))]
+    return w, t, psi * ufl.dx, held
+
+
+def preset(element, direct):
+    """Options of the linear solver, whatever the size."""
+    if direct:
+        return linear.direct(symmetric=True)
+    return linear.field_split() if "-" in element else linear.multigrid(int(element[1]))
+
+
+def solved(element, n):
+    """One tangent solve at rest: iterations, and seconds of assembly, set-up and solve."""
+    w, _, potential, held = twisted(element, n)
+    system = forms.system(potential, w, held)
+    newton = forms.Newton(system, options={"ksp_rtol": 1e-8})
+    start = time.process_time()
+    newton.scaled.measure()
+    assembled = time.process_time()
+    newton._assemble_tangent()
+    ksp = newton.snes.getKSP()
+    ksp.setOperators(newton.A)
+    b, x = newton.b.duplicate(), newton.b.duplicate()
+    b.array[:] = np.random.default_rng(COMM.rank).standard_normal(b.getLocalSize())
+    b.array[system.constrained] = 0
+    ksp.setUp()
+    ready = time.process_time()
+    ksp.solve(b, x)
+    times = {"assembly": assembled - start, "set-up": ready - assembled}
+    times["solve"] = time.process_time() - ready
+    row = {"dofs": system.size, "iterations": ksp.getIterationNumber()}
+    newton.destroy()
+    return row | {key: round(value, 2) for key, value in times.items()}
+
+
+def walked(element, n):
+    """Two load steps: Newton iterations, linear ones, seconds."""
+    w, t, potential, held = twisted(element, n)
+    start = time.process_time()
+    path = forms.follow(potential, w, held, t, to=0.3, step=0.15, progress=False)
+    ends = [step.convergence for step in path.steps]
+    return {
+        "dofs": path.system.size,
+        "Newton": sum(end.iterations for end in ends),
+        "iterations": sum(end.linear_iterations for end in ends),
+        "seconds": round(time.process_time() - start, 1),
+    }
+
+
+def main(elements=(), small=False):
+    """Measure, print and write the table."""
+    rows, chosen = [], linear.preset
+    for element in elements or SIZES:
+        for n in (2,) if small else SIZES[element]:
+            size = 0
+            for direct in (False, True):
+                if direct and size > MOST_DIRECT:
+                    continue
+                linear.preset = lambda system, e=element, d=direct: preset(e, d)
+                kind = {"element": element, "solver": "MUMPS" if direct else "multigrid"}
+                found = [] if direct else [{"what": "solve", **solved(element, n)}]
+                found.append({"what": "twist", **walked(element, n)})
+                size = found[-1]["dofs"]
+                for row in found:
+                    rows.append(kind | row | {"ranks": COMM.size})
+                    if COMM.rank == 0:
+                        print(json.dumps(rows[-1]), flush=True)
+    linear.preset = chosen
+    if COMM.rank == 0:
+        OUTPUT.mkdir(exist_ok=True)
+        with (OUTPUT / "multigrid.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
+            writer.writeheader()
+            writer.writerows(rows)
+    return rows
+
+
+if __name__ == "__main__":
+    names = [word for word in sys.argv[1:] if word in SIZES]
+    main(names, small="--small" in sys.argv)
