@@ -269,3 +269,19 @@ def test_bad_input_gets_one_sentence(call, message):
     body = meshes.square(MPI.COMM_SELF, 1.0, 1.0)
     with pytest.raises(ValueError, match=message):
         call(forms.membrane_gradient(forms.displacement(body)))
+
+
+def test_a_path_tells_what_was_tried():
+    """Ordinary solves by the full tangent say no more; a flat sheet names the ways in turn."""
+    potential, u, held, _, _ = sphere(0.5, 1)
+    path = forms.solve(potential, u, held)
+    assert path.steps[0].convergence.tried == ("full tangent", "|R|")
+    assert "by way of" not in path.reason
+    flat = meshes.disk(MPI.COMM_SELF, 1.0, 0.3, quarter=True)
+    u = forms.displacement(flat)
+    psi = energies.neo_hookean_sheet(forms.membrane_gradient(u), 1.0)
+    held = [forms.clamp(u, flat.facets("outer")), forms.roller(u, flat.facets("x0"), 0)]
+    held.append(forms.roller(u, flat.facets("y0"), 1))
+    path = forms.solve(psi * ufl.dx - 0.5 * forms.enclosed_volume(u), u, held)
+    assert path.steps[0].convergence.tried == ("full tangent", "projected tangent", "|R|")
+    assert "by way of full tangent, projected tangent, |R| (both tolerances" in path.reason

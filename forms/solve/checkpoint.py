@@ -305,7 +305,8 @@ def _line(step: Step) -> str:
 
 def _step(line: str) -> tuple[float, Convergence, dict[str, Any]]:
     load, entries, records = json.loads(line, object_hook=_restored)
-    entries["residuals"] = tuple(entries["residuals"])
+    for name in ("residuals", "tried"):
+        entries[name] = tuple(entries[name])
     return load, Convergence(**entries), records
 
 

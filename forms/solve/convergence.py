@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+USUAL = {"full tangent", "|R|"}
+
 REASONS = {
     -1: "the energy is not finite at the start",
     -3: "the linear solver failed",
@@ -42,6 +44,7 @@ class Convergence:
         residuals: Norm of the out-of-balance forces at the start and after each iteration [N].
         negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
             is stable; None where it is not known (multigrid, LU, projected, damped tangents).
+        tried: Ways that were taken in turn, the last one to this end, as "full tangent", "|R|".
     """
 
     converged: bool
@@ -55,13 +58,16 @@ class Convergence:
     correction: float
     residuals: tuple[float, ...] = ()
     negative: int | None = None
+    tried: tuple[str, ...] = ()
 
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
         verb = "converged" if self.converged else "stopped"
         projected = f", {self.projected} of them projected" if self.projected else ""
+        unusual = set(self.tried) - USUAL
+        ways = f" by way of {', '.join(self.tried)}" if unusual else ""
         return (
-            f"SNES {verb} after {self.iterations} iterations{projected} ({self.reason}), "
+            f"SNES {verb} after {self.iterations} iterations{projected}{ways} ({self.reason}), "
             f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}, "
             f"last correction {self.correction:.1e}"
         )

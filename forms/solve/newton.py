@@ -83,6 +83,7 @@ class Newton:
             system.prepare_projection()
         self.projection, self._projecting = projection, False
         self._damping: Damping | None = None
+        self._left_multigrid = False
         self.system, self.ctol, self.prefix = system, ctol, prefix
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
@@ -238,6 +239,7 @@ class Newton:
             if snes is not None:
                 snes.destroy()
         self._preset = linear.direct(self.system.symmetric)
+        self._left_multigrid = True
         self._build(self._preset)
         return True
 
@@ -389,11 +391,24 @@ class Newton:
             force_level=self._last[1],
             correction=float(self._correction),
             negative=self._negative(snes),
+            tried=(before.tried if before else ()) + (self._way(objective),),
             # A run that goes on from another one meets its last residual again.
             residuals=(before.residuals + tuple(self._history[1:]))
             if before
             else tuple(self._history),
         )
+
+    def _way(self, objective: bool) -> str:
+        """What the present run does, in words."""
+        if self._stepping:
+            way = "full steps"
+        elif not objective:
+            way = "|R|"
+        elif self._projecting:
+            way = "projected tangent"
+        else:
+            way = "full tangent" if self._damping is None else "damped tangent"
+        return f"{way} with MUMPS" if self._left_multigrid else way
 
     def _negative(self, snes: PETSc.SNES) -> int | None:
         """Negative eigenvalues of the last tangent, where it was the full one and factorized."""
