@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 from mpi4py import MPI
 
@@ -58,7 +59,7 @@ def projected():
 def sheet():
     body = meshes.block(MPI.COMM_SELF, (2.0, 1.0), h=0.4)
     t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-    psi = lambda F: forms.energies.neo_hookean(F, 1.0, 2.0)  # noqa: E731
+    psi = partial(forms.energies.neo_hookean, mu=1.0, lmbda=2.0)
     pulled = forms.translate(u, body.facets("right"), (0.6 * t, 0.0))
     fixed = forms.clamp(u, body.facets("left"))
     return psi(forms.plane_stress(u, psi)) * ufl.dx, u, [fixed, pulled], t

@@ -230,10 +230,29 @@ def test_the_imperfect_column_bends_by_itself():
     assert u.x.array[2 * top + 1] > 25
 
 
-def test_an_exact_load_at_the_end():
+def test_steps_used_up_are_no_completed_path():
+    """Neither `to` nor `until` is reached: said so; without either nothing more was asked."""
+    _, u, q, potential, held = column(3)
+    for end, completed in (({"to": 300.0}, False), ({"until": lambda _: False}, False), ({}, True)):
+        u.x.array[:], q.value = 0, 0
+        path = forms.arc_length(
+            potential, u, held, q, step=1.0, steps=2, largest=1e-6, progress=False, **end
+        )
+        assert path.completed == completed and path.reason.startswith("2 steps taken")
+
+
+def test_a_functional_that_nothing_moves_is_told():
+    """At rest u^2 has no slope: the bordered system is singular, and no bare division by zero."""
+    _, u, q, potential, held = column(3)
+    with pytest.raises(forms.NotConverged, match="the bordered system is singular"):
+        forms.control(potential, u, held, q, ufl.inner(u, u) * ufl.dx, [1.0], progress=False)
+
+
+@pytest.mark.parametrize("to", [317.0, 0.1, 1 / 3, 123.456])
+def test_an_exact_load_at_the_end(to):
     _, u, q, potential, held = column(5)
-    path = forms.arc_length(potential, u, held, q, step=10.0, to=317.0, progress=False)
-    assert path.load == 317.0 and path.completed
+    path = forms.arc_length(potential, u, held, q, step=to / 30, to=to, progress=False)
+    assert path.load == to and path.completed
     moved = u.x.array.copy()
     u.x.array[:] = 0
     forms.solve(potential, u, held)

@@ -397,8 +397,8 @@ def arch():
     body = meshes.block(COMM, (span, 1.0), n=(n, 1), cells="quadrilateral")
     x = body.mesh.geometry.x
     stiff = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
-    ends = lambda x: np.where(np.abs(x[0] - span / 2) > span / 2 - span / n, 1e3, 1.0)  # noqa: E731
-    stiff.interpolate(ends)
+    edge = span / 2 - span / n
+    stiff.interpolate(lambda x: np.where(np.abs(x[0] - span / 2) > edge, 1e3, 1.0))
     x[:, 1] += rise * np.sin(np.pi * x[:, 0] / span) - 0.5
     u, q = forms.displacement(body, 2), forms.load_factor(body)
     F = forms.deformation_gradient(u)
@@ -489,8 +489,7 @@ def contrast():
     """19: a block with a much stiffer cube inside, pressed by 30 %."""
     body, u, F, t = block((1.0, 1.0, 1.0), n=4)
     stiff = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
-    inside = lambda x: np.all(np.abs(x - 0.5) < 0.25, axis=0)  # noqa: E731
-    stiff.interpolate(lambda x: np.where(inside(x), 1e6, 1.0))
+    stiff.interpolate(lambda x: np.where(np.all(np.abs(x - 0.5) < 0.25, axis=0), 1e6, 1.0))
     held = [forms.clamp(u, body.facets("bottom"))]
     held += [forms.translate(u, body.facets("top"), (0, 0, -0.3 * t))]
     case = made(u, held, t, stiff * energies.neo_hookean(F, MU, LMBDA) * ufl.dx, F)

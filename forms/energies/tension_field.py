@@ -84,7 +84,8 @@ def tension_field(
 
     relaxed.__name__ = getattr(psi_hat, "__name__", "psi_hat")
     relaxed.__doc__ = psi_hat.__doc__
-    # The energy finds the two stretches by their names, and takes the parameters of psi_hat.
+    # The energy finds the two stretches by their names, and takes the parameters of psi_hat; mypy
+    # does not know that a function may bear a signature.
     stretches = [given[k].replace(name=name) for k, name in enumerate(("s1", "s2"))]
     extra = inspect.signature(relaxed).parameters["residual"]
     names = [*stretches, *given[2:], extra]

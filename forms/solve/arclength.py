@@ -80,7 +80,8 @@ def arc_length(
         progress: Show a line of progress on rank 0.
 
     Returns:
-        Path; ``load`` of each step is q, and ``convergence.negative`` the number of negative
+        Path; not ``completed`` where the steps were used up before ``to`` or ``until``. ``load`` of
+        each step is q, and ``convergence.negative`` the number of negative
         eigenvalues of the tangent in that state.
 
     Raises:
@@ -129,6 +130,7 @@ def arc_length(
                     outcome = problem.solve(_Load(problem, to))
                     if not outcome.converged:
                         raise failure(path, f"{outcome.sentence()}, at the load factor {to}.")
+                    q.value = to  # to the last digit, by which the end is known
                 before, load = u.x.array.copy(), problem.load
                 plane.accept()
                 path.steps.append(Step(load, outcome, recorded(record, problem.system)))
@@ -160,6 +162,7 @@ def arc_length(
         bar.close()
         path.seconds = time.perf_counter() - start
     path.end(f"{ended} in {len(path.steps)} steps")
+    path.completed = not (ended.endswith("steps taken") and (to is not None or until is not None))
     return path
 
 

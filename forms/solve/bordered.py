@@ -144,7 +144,7 @@ class Bordered:
             # A flat sheet's K is singular, and MUMPS need not notice.
             dq = self._step(off, g_q, damped=iteration == 0 and self.fresh and self.can_damp)
             if dq is None:
-                reason = "the linear solver failed"
+                reason = "the bordered system is singular"
                 break
             negative = inertia(self.ksp, self.system)
             correction = self.move(-1.0, self.du, dq)
@@ -195,7 +195,10 @@ class Bordered:
             self.ksp.solve(self.R, self.du)
             if self.ksp.getConvergedReason() > 0:
                 self.ksp.solve(self.R_q, self.du_q)
-                dq = (off - self.g_u.dot(self.du)) / (self.g_u.dot(self.du_q) - g_q)
+                slope = self.g_u.dot(self.du_q) - g_q
+                if slope == 0:  # neither the field nor q changes the constraint
+                    return None
+                dq = (off - self.g_u.dot(self.du)) / slope
                 self.du.axpy(dq, self.du_q)
                 if self.largest(self.du) <= self.scaled.size:
                     return float(dq)

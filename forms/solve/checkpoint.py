@@ -265,6 +265,7 @@ class Archive:
         arrays = {f"state{n}": state for n, state in enumerate(states)} | {"points": self._points}
         arrays |= {name: np.frombuffer(text.encode(), np.uint8) for name, text in texts.items()}
         buffer = io.BytesIO()
+        # mypy takes the arrays for savez's own argument allow_pickle.
         np.savez(buffer, **arrays)  # type: ignore[arg-type]
         target = self.folder / f"checkpoint-{self._number + 1:06d}.npz"
         try:

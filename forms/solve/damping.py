@@ -7,11 +7,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from ..assembly import System
+from ..operators.lowering import compiled
 from . import linear
 
 FIRST, LEAST, MOST = 1e-6, 1e-10, 1e2
@@ -40,7 +40,7 @@ class Damping:
     ) -> None:
         V = system.u.function_space
         du, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        uniform = fem.form(ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx)
+        uniform = compiled(ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx)
         self.L = fem_petsc.assemble_matrix(uniform, system.conditions)
         self.L.assemble()
         diagonal = self.L.getDiagonal()
