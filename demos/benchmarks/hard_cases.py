@@ -10,14 +10,11 @@ JSON line per case and solver, and ``results/hard_cases.csv``; ``--write`` puts 
 README.md. One process only.
 """
 
-import csv
-import json
 import sys
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -35,8 +32,8 @@ import forms
 import meshes
 from forms import energies
 
-OUTPUT = Path("results")
-PAGE = Path(__file__).resolve().parent / "README.md"
+from .record import Table, insert, markdown
+
 COMM = MPI.COMM_SELF
 MU, LMBDA = 1.0, 1.5
 LOOKED_AT = 14  # degree of the quadrature rule at whose points J is to be positive
@@ -685,9 +682,9 @@ def equal_steps(case, solver, to, counts):
     return ""
 
 
-def measure(name):
+def measure(name, measurements):
     """Rows of one case: variform, DOLFINx."""
-    case, rows = CASES[name](), []
+    case = CASES[name]()
     for solver in ("variform", "DOLFINx"):
         if solver == "variform":
             outcome = by_variform(case)
@@ -700,19 +697,14 @@ def measure(name):
         row |= {"tangents": outcome.tangents, "seconds": round(outcome.seconds, 2)}
         row |= {"reason": "; ".join([*outcome.wrong, outcome.reason])}
         row |= {"numbers": {key: float(f"{x:.7g}") for key, x in outcome.numbers.items()}}
-        rows.append(row)
-        print(json.dumps(row), flush=True)
-    return rows
+        measurements.add(**row)
 
 
 def table(rows):
     """Lines of the README's table."""
     columns = ("steps (refused)", "Newton", "tangents", "s")
     heads = [f"{solver}: solved" for solver in ("variform", "DOLFINx")]
-    lines = [
-        "| " + " | ".join(["case", heads[0], *columns, heads[1], *columns, "why not"]) + " |",
-        "| " + " | ".join(["---"] * (2 * len(columns) + 4)) + " |",
-    ]
+    lines = []
     for ours, other in zip(rows[::2], rows[1::2], strict=True):
         cells = [f"{list(CASES).index(ours['case']) + 1} {ours['case']}"]
         for row in (ours, other):
@@ -720,11 +712,11 @@ def table(rows):
             cells += [row["iterations"], row["tangents"], f"{row['seconds']:.2f}"]
         why = [f"{row['solver']}: {row['reason']}" for row in (ours, other) if not row["solved"]]
         cells.append(" ".join(why).replace("|R|", "R"))
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        lines.append(cells)
     count = [sum(row["solved"] for row in rows[k::2]) for k in (0, 1)]
     seconds = [sum(row["seconds"] for row in rows[k::2]) for k in (0, 1)]
     return [
-        *lines,
+        *markdown(["case", heads[0], *columns, heads[1], *columns, "why not"], lines),
         "",
         f"variform solves {count[0]} of {len(rows) // 2} in {seconds[0]:.1f} s, "
         f"DOLFINx's Newton solver {count[1]} in {seconds[1]:.1f} s.",
@@ -733,19 +725,13 @@ def table(rows):
 
 def main(names, write=False):
     """Run, print and write the table."""
-    rows = [row for name in names for row in measure(name)]
-    OUTPUT.mkdir(exist_ok=True)
-    with (OUTPUT / "hard_cases.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    measurements = Table("hard_cases")
+    for name in names:
+        measure(name, measurements)
+    measurements.write()
     if write:
-        begin, end = "<!-- hard cases: written by a run -->", "<!-- end of hard cases -->"
-        head, _, rest = PAGE.read_text().partition(begin)
-        PAGE.write_text(
-            "\n".join([head + begin, "", *table(rows), "", end + rest.partition(end)[2]])
-        )
-    return rows
+        insert("hard cases", table(measurements.rows))
+    return measurements.rows
 
 
 if __name__ == "__main__":

@@ -7,13 +7,10 @@ P1, P2, Q1, Q2 with the displacement alone, P2-P1 and Q2-Q1 with a pressure. Ene
 neo-Hookean, and Ogden's (an energy in singular values), both with kappa/2 (J - 1)^2. The error is
 relative to P2-P1 or Q2-Q1 on the finest mesh, for each nu its own. Run ``docker/enter python3 -m
 demos.benchmarks.locking`` (``--small``: toy sizes); one JSON line per row, ``results/locking.csv``
-and ``results/locking.png``; ``--write`` puts the table into README.md. One process only.
+``results/locking.png`` and ``.svg``; ``--write`` puts the table into README.md. One process only.
 """
 
-import csv
-import json
 import sys
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -24,8 +21,8 @@ import forms
 import meshes
 from forms import energies
 
-OUTPUT = Path("results")
-PAGE = Path(__file__).resolve().parent / "README.md"
+from .record import Table, insert, markdown, save
+
 MU = 80.1938
 NUS = (0.3, 0.4, 0.45, 0.49, 0.499, 0.4999, 0.49999, 0.499999)
 ELEMENTS = ("P1", "P2", "Q1", "Q2", "P2-P1", "Q2-Q1")
@@ -118,46 +115,35 @@ def picture(rows):
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("relative error of the deflection")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper")
-    figure.savefig(OUTPUT / "locking.png")
+    save(figure, "locking")
 
 
 def table(rows):
     """Errors in percent, a line for each body, energy and element."""
     nus = list(dict.fromkeys(row["nu"] for row in rows))
-    lines = ["| body, energy | element | dofs | " + " | ".join(f"{nu:g}" for nu in nus) + " |"]
-    lines.append("| --- " * (3 + len(nus)) + "|")
-    kinds = dict.fromkeys((r["scene"], r["energy"], r["element"], r["dofs"]) for r in rows)
-    for kind in kinds:
+    lines = []
+    for kind in dict.fromkeys((r["scene"], r["energy"], r["element"], r["dofs"]) for r in rows):
         found = [r for r in rows if (r["scene"], r["energy"], r["element"], r["dofs"]) == kind]
         scene, energy, element, dofs = kind
-        errors = " | ".join(f"{100 * r['error']:.2g}" for r in found)
-        lines.append(f"| {scene}, {energy} | {element} | {dofs:,} | {errors} |")
-    return "\n".join(lines)
+        errors = [f"{100 * r['error']:.2g}" for r in found]
+        lines.append([f"{scene}, {energy}", element, f"{dofs:,}", *errors])
+    return markdown(["body, energy", "element", "dofs", *(f"{nu:g}" for nu in nus)], lines)
 
 
 def main(small=False, write=False):
     """Measure, print and write the table and the picture."""
     nus = (0.3, 0.4999) if small else NUS
-    rows = []
+    measurements = Table("locking")
     for scene, energy in SCENES:
         elements = ("P2-P1", "Q2-Q1") if energy == "Ogden" else ELEMENTS
         for nu in nus:
             for row in measured(scene, nu, energy, elements, small):
-                rows.append(row)
-                print(json.dumps(row), flush=True)
-    OUTPUT.mkdir(exist_ok=True)
-    with (OUTPUT / "locking.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    picture(rows)
+                measurements.add(**row)
+    measurements.write()
+    picture(measurements.rows)
     if write:
-        begin, end = "<!-- locking: written by a run -->", "<!-- end of locking -->"
-        head, _, rest = PAGE.read_text().partition(begin)
-        PAGE.write_text(
-            "\n".join([head + begin, "", table(rows), "", end + rest.partition(end)[2]])
-        )
-    return rows
+        insert("locking", table(measurements.rows))
+    return measurements.rows
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ demos.benchmarks.misprints``; one JSON line per row, and ``results/misprints.csv
 the table into forms/formulas/README.md. NumPy alone, by :mod:`forms.formulas`.
 """
 
-import csv
-import json
 import sys
 from pathlib import Path
 
@@ -16,7 +14,8 @@ import numpy as np
 
 from forms.formulas import element, materials, quadrature, shapes
 
-OUTPUT = Path("results")
+from .record import Table, insert, markdown
+
 PAGE = Path(__file__).resolve().parents[2] / "forms" / "formulas" / "README.md"
 MU, LMBDA = 1.3, 2.1
 AXIS = np.array([0.8, 0.6, 0.0])
@@ -108,28 +107,15 @@ class Stack:
 
 def main(write=False):
     """Run, print and write the table."""
-    rows = []
+    table = Table("misprints")
     for (tangent, name), material in ROWS.items():
-        counts = Stack().iterations(material)
-        row = {
-            "tangent": tangent,
-            "material": name,
-            "iterations per step": ", ".join(map(str, counts)) or "fails",
-        }
-        rows.append(row)
-        print(json.dumps(row, ensure_ascii=False), flush=True)
-    OUTPUT.mkdir(exist_ok=True)
-    with (OUTPUT / "misprints.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+        counts = ", ".join(map(str, Stack().iterations(material))) or "fails"
+        table.add(tangent=tangent, material=name, **{"iterations per step": counts})
+    table.write()
     if write:
-        begin, end = "<!-- newton: written by a run -->", "<!-- end of newton -->"
-        head, _, rest = PAGE.read_text().partition(begin)
-        lines = ["| Tangent | Material | Iterations per step |", "| --- | --- | --- |"]
-        lines += [f"| {' | '.join(row.values())} |" for row in rows]
-        PAGE.write_text("\n".join([head + begin, "", *lines, "", end + rest.partition(end)[2]]))
-    return rows
+        columns = ["Tangent", "Material", "Iterations per step"]
+        insert("newton", markdown(columns, [row.values() for row in table.rows]), PAGE)
+    return table.rows
 
 
 if __name__ == "__main__":

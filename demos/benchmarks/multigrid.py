@@ -8,11 +8,8 @@ rest, with the iterations of the iterative solver; "twist" two load steps of 0.1
 method. Seconds of rank 0's CPU.
 """
 
-import csv
-import json
 import sys
 import time
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -24,7 +21,8 @@ import meshes
 from forms import energies
 from forms.solve import linear
 
-OUTPUT = Path("results")
+from .record import Table
+
 COMM = MPI.COMM_WORLD
 # Cells across the block's width; five times as many along it.
 SIZES = {
@@ -102,7 +100,7 @@ def walked(element, n):
 
 def main(elements=(), small=False):
     """Measure, print and write the table."""
-    rows, chosen = [], linear.preset
+    table, chosen = Table("multigrid", COMM.rank == 0), linear.preset
     for element in elements or SIZES:
         for n in (2,) if small else SIZES[element]:
             size = 0
@@ -115,17 +113,10 @@ def main(elements=(), small=False):
                 found.append({"what": "twist", **walked(element, n)})
                 size = found[-1]["dofs"]
                 for row in found:
-                    rows.append(kind | row | {"ranks": COMM.size})
-                    if COMM.rank == 0:
-                        print(json.dumps(rows[-1]), flush=True)
+                    table.add(**kind, **row, ranks=COMM.size)
     linear.preset = chosen
-    if COMM.rank == 0:
-        OUTPUT.mkdir(exist_ok=True)
-        with (OUTPUT / "multigrid.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
-            writer.writeheader()
-            writer.writerows(rows)
-    return rows
+    table.write()
+    return table.rows
 
 
 if __name__ == "__main__":

@@ -6,12 +6,8 @@ Run ``docker/enter python3 -m demos.benchmarks.operators``; one JSON line per ro
 are to the plain neo-Hookean energy with the same flags, quadrature and insertion.
 """
 
-import csv
-import json
 import sys
-import time
 from functools import partial
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -27,19 +23,9 @@ import meshes
 from forms import energies
 from forms.operators.lowering import compiled
 
-OUTPUT = Path("results")
+from .record import Table, median_times
+
 MU, LMBDA = 1.0, 2.5
-
-
-def median_times(variants, repeats):
-    """CPU seconds of each variant, interleaved."""
-    times = {name: [] for name in variants}
-    for _ in range(repeats):
-        for name, work in variants.items():
-            start = time.process_time()
-            work()
-            times[name].append(time.process_time() - start)
-    return {name: float(np.median(t)) for name, t in times.items()}
 
 
 class Stored:
@@ -205,45 +191,30 @@ def points(n):
 def main(small=False):
     """Measure, print and write the table."""
     repeats = 1 if small else 7
-    rows = []
+    table = Table("operators")
     sizes = {(1, 1): 3 if small else 26, (2, 2): 2 if small else 13}
     for (order, degree), n in sizes.items():
         cells, kinds = cases(order, degree, n)
         for kind, variants in kinds.items():
             times = median_times(variants, repeats)
             base = times["neo_hookean, plain UFL"]
+            about = {"element": f"P{order}", "quadrature degree": degree, "what": kind}
             for name, t in times.items():
-                row = {
-                    "element": f"P{order}",
-                    "quadrature degree": degree,
-                    "what": kind,
-                    "energy": name,
-                    "us per cell": round(1e6 * t / cells, 3),
-                    "ratio": round(t / base, 2),
-                }
-                rows.append(row)
-                print(json.dumps(row), flush=True)
+                per_cell = {"us per cell": round(1e6 * t / cells, 3), "ratio": round(t / base, 2)}
+                table.add(**about, energy=name, **per_cell)
     for order in (1, 2):
         cells, variants = sheets(order, 5 if small else 100)
         times = median_times(variants, repeats)
         base = times["neo_hookean_sheet, plain UFL"]
+        about = {"element": f"P{order}", "what": "sheet, tangent, AIJ"}
         for name, t in times.items():
-            row = {"element": f"P{order}", "what": "sheet, tangent, AIJ", "energy": name}
-            row |= {"us per cell": round(1e6 * t / cells, 3), "ratio": round(t / base, 2)}
-            rows.append(row)
-            print(json.dumps(row), flush=True)
+            per_cell = {"us per cell": round(1e6 * t / cells, 3), "ratio": round(t / base, 2)}
+            table.add(**about, energy=name, **per_cell)
     for name, t in points(1_000 if small else 200_000).items():
-        row = {"what": f"point kernel, {name}", "energy": "fixed_corotated"}
-        row |= {"us per point": round(t, 3)}
-        rows.append(row)
-        print(json.dumps(row), flush=True)
-    OUTPUT.mkdir(exist_ok=True)
-    with (OUTPUT / "operators.csv").open("w", newline="") as file:
-        columns = list(dict.fromkeys(key for row in rows for key in row))
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
-    return rows
+        about = {"what": f"point kernel, {name}", "energy": "fixed_corotated"}
+        table.add(**about, **{"us per point": round(t, 3)})
+    table.write()
+    return table.rows
 
 
 if __name__ == "__main__":
