@@ -52,10 +52,15 @@ def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
 
 
-def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
-    """Nodes of each cell's geometry, shape (cells, nodes) (0.11: one array per cell type)."""
-    geometry = mesh.geometry
-    return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+def geometry_dofmap(mesh: Any) -> NDArray[np.int32]:
+    """Nodes of each cell's geometry, shape (cells, nodes), of a mesh or a C++ mesh.
+
+    From 0.10 one array per cell type; the C++ mesh of 0.9 has a method for them.
+    """
+    tables = getattr(mesh.geometry, "dofmaps", None)
+    if tables is None:
+        return mesh.geometry.dofmap
+    return tables(0) if callable(tables) else tables[0]
 
 
 def original_cells(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64] | None:
@@ -86,6 +91,34 @@ def create_vector(form: fem.Form) -> Any:
     if LATER:
         return fem_petsc.create_vector(form.function_spaces[0])
     return fem_petsc.create_vector(form)
+
+
+def integrals(form: fem.Form) -> list[tuple[fem.IntegralType, NDArray[np.int32], NDArray]]:
+    """Type, entities and packed coefficients of each integral, in FFCx's order.
+
+    An integral goes by the number of its subdomain; from 0.10 by its place in the order.
+    """
+    cpp, found = form._cpp_object, []
+    packed = dolfinx.cpp.fem.pack_coefficients(cpp)
+    for kind in sorted(cpp.integral_types, key=lambda kind: kind.value):
+        keys = range(cpp.num_integrals(kind, 0)) if LATER else cpp.integral_ids(kind)
+        found += [(kind, cpp.domains(kind, key), packed[kind, key]) for key in keys]
+    return found
+
+
+def constants(form: fem.Form) -> NDArray[np.float64]:
+    """Values of a form's constants, one after the other."""
+    return dolfinx.cpp.fem.pack_constants(form._cpp_object)
+
+
+def create_matrix(comm: Any, pattern: Any) -> Any:
+    """Empty PETSc AIJ matrix of a sparsity pattern."""
+    return dolfinx.cpp.la.petsc.create_matrix(comm, pattern)
+
+
+def column_map(pattern: Any) -> Any:
+    """Index map of a finalized sparsity pattern's columns (0.10: index_map(1))."""
+    return pattern.index_map(1) if LATER else pattern.column_index_map()
 
 
 def bounding_boxes(

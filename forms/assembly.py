@@ -18,7 +18,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
-from . import _checks, _dolfinx
+from . import _checks, _dolfinx, insertion
 from .operators.chain import Dependent, dependents, expanded
 from .operators.jets import Jet
 from .operators.lowering import compiled, default_degree
@@ -124,7 +124,7 @@ class System:
 
     def create_matrix(self) -> PETSc.Mat:
         """PETSc AIJ matrix for the tangent; marked symmetric where it is."""
-        A = fem_petsc.create_matrix(self._tangent)
+        A = insertion.create_matrix(self._tangent, self.conditions)
         if self.symmetric:
             A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             A.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -173,10 +173,7 @@ class System:
             assert self._projected is not None
             form = self._projected
         self.update_dependents()
-        A.zeroEntries()
-        # mypy sees the first of two overloads only.
-        fem_petsc.assemble_matrix(A, form, self.conditions)  # type: ignore[arg-type]
-        A.assemble()
+        insertion.assemble(A, form, self.conditions)
 
     def prepare_projection(self) -> None:
         """Compile the projected tangent, once. Collective.

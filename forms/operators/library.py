@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The compiled point and cell kernels: built once per machine, cached beside DOLFINx's own code."""
+"""The compiled kernels of points, cells and insertion: built once, beside DOLFINx's own code."""
 
 from __future__ import annotations
 
@@ -47,6 +47,21 @@ void points(const operator_t *op, long n, const double *X, int project, double *
 void singular_values(int rows, int cols, int plane, int improper, long n, const double *F,
                      double *U, double *s, double *V);
 void projection_set(void *factorize, void *eigen);
+typedef struct {
+  int owned, size, nodes; const int32_t *numbers; const int16_t *places; const int32_t *rows[3];
+  double *values[3]; const int8_t *held;
+} target_t;
+typedef struct {
+  tabulate_t kernel; int facets; long count; const int32_t *entities; int width;
+  const double *coefficients;
+} part_t;
+typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_t;
+int insertion_places(const target_t *t, long cells, const int32_t *columns[3],
+                     const int32_t *first, int16_t *places);
+int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count,
+                       const int32_t *held, int32_t *places);
+void insertion_add(const target_t *t, const part_t *p, const geometry_t *g,
+                   const double *constants, double *K, double *x);
 """
 MAX_OPERATORS, MAX_PIECES = 8, 16
 

@@ -64,7 +64,11 @@ def _plain(form: ufl.Form) -> fem.Form:
     """DOLFINx's own compilation with our flags and our sentence where it fails."""
     comm = _dolfinx.cpp_mesh(form.ufl_domain()).comm
     options = _jit.jit_options(comm)
-    return _jit.alike(comm, lambda: fem.form(form, jit_options=options), "a form")
+    result = _jit.alike(comm, lambda: fem.form(form, jit_options=options), "a form")
+    ufcx, ffi = result.ufcx_form, result.module.ffi
+    integrals = [ufcx.form_integrals[k] for k in range(ufcx.form_integral_offsets[len(_TYPES)])]
+    vars(result)["_kernels"] = [_address(ffi, i.tabulate_tensor_float64) for i in integrals]
+    return result
 
 
 @dataclass
@@ -289,6 +293,8 @@ class _Lowering:
             any(integral.needs_facet_permutations for *_, integral in found),
         )
         vars(form)["_operators"] = self.keep  # the kernels' modules live as long as the form
+        kernels = [address for kind in _TYPES.values() for address, *_ in integrals.get(kind, ())]
+        vars(form)["_kernels"] = kernels
         weakref.finalize(form, self.lib.integrals_release, first, len(found))
         return form
 

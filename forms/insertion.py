@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: MIT
+"""Assembly of a tangent into the arrays of a PETSc AIJ matrix, at places found once.
+
+PETSc looks for the place of every number again at each assembly, which costs more than computing
+it. Here the places of each cell's blocks are found at the start, as numbers of two bytes, and the
+kernels that DOLFINx would call are called in a loop of our own (kernels/insertion.h). Rows that
+other ranks own go by PETSc's usual way.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from .operators.library import library
+
+# petsc4py has no call for the arrays of a matrix; its library knows every function of PETSc.
+_PETSC = ctypes.CDLL(PETSc.__file__)
+_NAME = "variform_insertion"
+_TYPES = (fem.IntegralType.cell, fem.IntegralType.exterior_facet)
+_C = {"b": "int8_t *", "h": "int16_t *", "i": "int32_t *", "d": "double *"}
+_ROWS = 4096  # filled with zeros at a time
+
+
+def create_matrix(form: fem.Form, conditions: Sequence[fem.DirichletBC] = ()) -> PETSc.Mat:
+    """AIJ matrix for :func:`assemble`. Collective.
+
+    Assembly is fast for integrals over cells and exterior facets on one space whose functions need
+    no change of sign from cell to cell, as those of Lagrange elements; other forms are assembled
+    as DOLFINx does it.
+
+    Args:
+        form: Bilinear form.
+        conditions: Boundary conditions that will be assembled with it.
+    """
+    if not _possible(form):
+        return fem_petsc.create_matrix(form)
+    pattern = fem.create_sparsity_pattern(form)
+    pattern.finalize()
+    A = _dolfinx.create_matrix(form.mesh.comm, pattern)
+    _fill(A, pattern)
+    try:
+        insertion = _Insertion(A, pattern, form, conditions)
+    except OverflowError:
+        insertion = None
+    # A row may be too long on one rank only.
+    if form.mesh.comm.allreduce(insertion is not None, MPI.LAND):
+        A.setAttr(_NAME, insertion)
+    return A
+
+
+def assemble(A: PETSc.Mat, form: fem.Form, conditions: Sequence[fem.DirichletBC]) -> None:
+    """Assemble a bilinear form into a matrix, supported rows and columns those of identity.
+
+    Collective.
+
+    Args:
+        A: Matrix of :func:`create_matrix` with the same boundary conditions, or any other.
+        form: Form on the spaces, and with the integrals, of that which the matrix was made for.
+        conditions: Boundary conditions.
+    """
+    insertion = A.getAttr(_NAME)
+    if insertion is not None:
+        insertion.assemble(A, form)
+        return
+    A.zeroEntries()
+    # mypy sees the first of two overloads only.
+    fem_petsc.assemble_matrix(A, form, list(conditions))  # type: ignore[arg-type]
+    A.assemble()
+
+
+def _possible(form: fem.Form) -> bool:
+    """Whether our loop knows everything that the form needs; alike on all ranks."""
+    cpp, spaces = form._cpp_object, form.function_spaces
+    return (
+        "_kernels" in vars(form)
+        and (PETSc.ScalarType, PETSc.IntType) == (np.float64, np.int32)
+        and all(kind in _TYPES for kind in cpp.integral_types)
+        and not cpp.needs_facet_permutations
+        and spaces[0] == spaces[1]
+        and not spaces[0].element.needs_dof_transformations
+    )
+
+
+def _fill(A: PETSc.Mat, pattern: Any) -> None:
+    """Store a zero at each entry of a sparsity pattern, so that its arrays get their places."""
+    columns, pointers = pattern.graph
+    owned, size = pattern.index_map(0).size_local, A.getBlockSize()
+    names = _dolfinx.column_map(pattern)
+    first = A.getOwnershipRange()[0] // size
+    for begin in range(0, owned, _ROWS):
+        end = min(begin + _ROWS, owned)
+        part = slice(pointers[begin], pointers[end])
+        found = names.local_to_global(columns[part]).astype(PETSc.IntType)
+        starts = (pointers[begin : end + 1] - pointers[begin]).astype(PETSc.IntType)
+        rows = np.arange(first + begin, first + end, dtype=PETSc.IntType)
+        A.setValuesBlockedIJV(starts, found, np.zeros(len(found) * size**2), rowmap=rows)
+    A.assemble()
+
+
+class _Part(NamedTuple):
+    """One of the arrays of a matrix: its values, row after row, and where each row starts."""
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    values: NDArray[np.float64]
+
+
+class _Insertion:
+    """Places of all cells' blocks in a matrix, and the loop that adds to them.
+
+    Args:
+        A: Matrix with a number stored at each of its places.
+        pattern: Its sparsity pattern.
+        form: Form that it is made for.
+        conditions: Boundary conditions.
+
+    Raises:
+        OverflowError: a row is too long for places of two bytes.
+    """
+
+    def __init__(
+        self, A: PETSc.Mat, pattern: Any, form: fem.Form, conditions: Sequence[fem.DirichletBC]
+    ) -> None:
+        self._lib, self._ffi = library(form.mesh.comm)
+        V: Any = form.function_spaces[0]  # DOLFINx's own, in C++
+        mesh = form.mesh
+        cells = mesh.topology.index_map(mesh.topology.dim).size_local
+        owned, size = V.dofmap.index_map.size_local, V.dofmap.bs
+        numbers = np.ascontiguousarray(V.dofmap.map()[:cells], np.int32)
+        table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh)[:cells], np.int32)
+        ghosts = V.dofmap.index_map.ghosts
+        self._held = np.zeros((owned + len(ghosts)) * size, np.int8)
+        for condition in conditions:
+            self._held[condition.dof_indices()[0]] = 1
+        nodes = numbers.shape[1]
+        self._places = np.empty((cells, nodes, nodes), np.int16)
+        parts, beside = _parts(A)
+        self._waiting = _ghost_rows(pattern, owned, size)
+        parts.append(self._waiting.part)
+        # A node's columns begin, in the diagonal part, at its number; beside it they are counted.
+        first = np.concatenate(
+            [np.arange(owned) * size, np.searchsorted(beside, ghosts * size)]
+        ).astype(np.int32)
+        self._matrix = self._ffi.new("target_t *")
+        self._matrix.owned, self._matrix.size, self._matrix.nodes = owned, size, nodes
+        self._matrix.numbers, self._matrix.places = self._at(numbers), self._at(self._places)
+        self._matrix.held = self._at(self._held)
+        self._matrix.rows = [self._at(part.rows) for part in parts]
+        columns = self._ffi.new("int32_t *[3]", [self._at(part.columns) for part in parts])
+        held = np.flatnonzero(self._held[: owned * size]).astype(np.int32)
+        self._diagonal = np.empty_like(held)
+        found = self._lib.insertion_places(
+            self._matrix, cells, columns, self._at(first), self._at(self._places)
+        ) and self._lib.insertion_diagonal(
+            self._matrix.rows[0], columns[0], len(held), self._at(held), self._at(self._diagonal)
+        )
+        if not found:
+            raise OverflowError("a row of the tangent is too long for places of two bytes.")
+        self._geometry = self._ffi.new("geometry_t *")
+        self._geometry.nodes, self._geometry.numbers = table.shape[1], self._at(table)
+        self._geometry.x = self._at(mesh.geometry.x)
+        self._room = np.empty((nodes * size) ** 2), np.empty(3 * table.shape[1])
+        self._keep = numbers, table, mesh.geometry.x, [part.rows for part in parts]
+
+    def _at(self, array: NDArray) -> Any:
+        """Address of an array that lives as long as it is used."""
+        return self._ffi.cast(_C[array.dtype.char], array.ctypes.data)
+
+    def assemble(self, A: PETSc.Mat, form: fem.Form) -> None:
+        """See the function of that name. Collective."""
+        own, waiting = _values(A), self._waiting
+        for values in (*own, waiting.part.values):
+            values[:] = 0
+        self._matrix.values = [self._at(v) for v in (own[0], own[-1], waiting.part.values)]
+        constants = _dolfinx.constants(form)
+        integrals = zip(vars(form)["_kernels"], _dolfinx.integrals(form), strict=True)
+        for kernel, (kind, entities, coefficients) in integrals:
+            part = self._ffi.new("part_t *")
+            part.kernel = self._ffi.cast("tabulate_t", kernel)
+            part.facets = kind == fem.IntegralType.exterior_facet
+            entities = np.ascontiguousarray(entities, np.int32)
+            part.count = entities.size // (2 if part.facets else 1)
+            part.entities = self._at(entities)
+            part.width, part.coefficients = coefficients.shape[1], self._at(coefficients)
+            self._lib.insertion_add(
+                self._matrix, part, self._geometry, self._at(constants), *map(self._at, self._room)
+            )
+        own[0][self._diagonal] = 1
+        if waiting.rows.size:
+            starts, values = waiting.part.rows, waiting.part.values
+            add = PETSc.InsertMode.ADD_VALUES
+            A.setValuesIJV(starts, waiting.columns, values, addv=add, rowmap=waiting.rows)
+        A.assemble()
+
+
+class _Waiting(NamedTuple):
+    """Rows that other ranks own, and their columns, by global numbers."""
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    part: _Part
+
+
+def _ghost_rows(pattern: Any, owned: int, size: int) -> _Waiting:
+    """Room for the rows of ghosts."""
+    nodes, starts = (np.asarray(array) for array in pattern.graph)
+    nodes, starts = nodes[starts[owned] :].astype(np.int32), starts[owned:] - starts[owned]
+    lengths = np.repeat(np.diff(starts) * size, size)
+    rows = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+
+    def unrolled(numbers: NDArray) -> NDArray[np.int32]:
+        whole = (numbers[:, None] * size + np.arange(size)).astype(np.int32)
+        parts = [np.tile(whole[a:b].ravel(), size) for a, b in itertools.pairwise(starts)]
+        return np.concatenate([*parts, np.empty(0, np.int32)])
+
+    # Not PETSc's local numbers: its map of the columns is not that of the pattern.
+    ghosts = pattern.index_map(0).ghosts[:, None] * size + np.arange(size)
+    columns = unrolled(_dolfinx.column_map(pattern).local_to_global(nodes))
+    part = _Part(rows, unrolled(nodes), np.zeros(len(columns)))
+    return _Waiting(ghosts.ravel().astype(np.int32), columns, part)
+
+
+def _parts(A: PETSc.Mat) -> tuple[list[_Part], NDArray[np.int32]]:
+    """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole."""
+    matrices, names = _sequential(A)
+    found = []
+    for matrix, values in zip(matrices, _values(A), strict=True):
+        count, done = ctypes.c_int32(), ctypes.c_int32()
+        rows, columns = (ctypes.POINTER(ctypes.c_int32)() for _ in range(2))
+        plain = (ctypes.c_int32(0),) * 3  # numbers from 0, the pattern as it is, not of blocks
+        _call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
+        found.append(_Part(_array(rows, count.value + 1), _array(columns, len(values)), values))
+    width = int(found[-1].columns.max(initial=-1)) + 1 if len(found) == 2 else 0
+    return [found[0], found[-1]], _array(names, width)
+
+
+def _sequential(A: PETSc.Mat) -> tuple[list[ctypes.c_void_p], Any]:
+    """The matrices that an AIJ matrix is made of: itself, or two parts and the latter's columns."""
+    whole, names = ctypes.c_void_p(A.handle), ctypes.POINTER(ctypes.c_int32)()
+    if A.getType() != "mpiaij":
+        return [whole], names
+    parts = [ctypes.c_void_p(), ctypes.c_void_p()]
+    _call("MatMPIAIJGetSeqAIJ", whole, *map(ctypes.byref, (*parts, names)))
+    return parts, names
+
+
+def _values(A: PETSc.Mat) -> list[NDArray[np.float64]]:
+    """PETSc's arrays of an assembled AIJ matrix."""
+    arrays = []
+    for part in _sequential(A)[0]:
+        values, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * 10)()
+        _call("MatSeqAIJGetArray", part, ctypes.byref(values))
+        _call("MatGetInfo", part, 1, info)
+        arrays.append(_array(values, int(info[2])))
+        # Returned before it is written to: A.assemble() always follows.
+        _call("MatSeqAIJRestoreArray", part, ctypes.byref(values))
+    return arrays
+
+
+def _array(address: Any, size: int) -> NDArray:
+    """View of C's memory."""
+    return np.ctypeslib.as_array(address, (size,)) if size else np.empty(0, address._type_)
+
+
+def _call(name: str, *arguments: Any) -> None:
+    """Call a function of PETSc."""
+    error = getattr(_PETSC, name)(*arguments)
+    if error:
+        raise PETSc.Error(error)

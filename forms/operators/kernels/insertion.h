@@ -1,0 +1,128 @@
+/* SPDX-License-Identifier: MIT */
+/* Cells and facets into the arrays of a PETSc AIJ matrix, at places found once.
+
+   Rows of cell matrices belong to three arrays: the matrix' diagonal and off-diagonal parts, and a buffer
+   of the same kind for rows that other ranks own. Blocks of a node's components have one place. */
+#include <stdint.h>
+
+typedef struct {
+  int owned;              /* nodes of this rank */
+  int size;               /* components of a node */
+  int nodes;              /* of a cell */
+  const int32_t *numbers; /* of a cell's nodes */
+  const int16_t *places;  /* block of two nodes in its row; ~place: in the off-diagonal part */
+  const int32_t *rows[3]; /* where each row (one component) starts, and the last one ends */
+  double *values[3];
+  const int8_t *held;     /* components whose rows and columns are left out */
+} target_t;
+
+typedef struct {
+  tabulate_t kernel;
+  int facets;              /* entities are (cell, local facet), else cells */
+  long count;
+  const int32_t *entities;
+  int width;               /* coefficients of an entity */
+  const double *coefficients;
+} part_t;
+
+typedef struct {
+  int nodes;
+  const int32_t *numbers;
+  const double *x;
+} geometry_t;
+
+/* Where column is in the sorted columns of a row; -1: not there. */
+static long place_in(const int32_t *columns, long n, int32_t column)
+{
+  long low = 0, high = n;
+  while (low < high) {
+    const long middle = (low + high) / 2;
+    if (columns[middle] < column)
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  return low < n && columns[low] == column ? low : -1;
+}
+
+/* Find the places of all cells. columns: those of the three arrays; first: each node's first column in the
+   part that it belongs to, in the ghosts' buffer always size times its number. 0: one is missing, or too
+   far from the start of its row. */
+int insertion_places(const target_t *t, long cells, const int32_t *columns[3], const int32_t *first, int16_t *places)
+{
+  const int n = t->nodes;
+  for (long cell = 0; cell < cells; cell++)
+    for (int i = 0; i < n; i++)
+      for (int j = 0; j < n; j++) {
+        const int32_t r = t->numbers[n * cell + i], c = t->numbers[n * cell + j];
+        const int part = r >= t->owned ? 2 : c >= t->owned;
+        const int32_t *row = t->rows[part] + (long)t->size * (part == 2 ? r - t->owned : r);
+        const int32_t column = part == 2 ? t->size * c : first[c];
+        const long place = place_in(columns[part] + row[0], row[1] - row[0], column);
+        if (place < 0 || place > INT16_MAX) return 0;
+        places[(n * cell + i) * n + j] = (int16_t)(part == 1 ? ~place : place);
+      }
+  return 1;
+}
+
+/* Places of diagonal entries of a part, as numbers in its values; 0: one is missing. */
+int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count, const int32_t *held, int32_t *places)
+{
+  for (long k = 0; k < count; k++) {
+    const int32_t *row = rows + held[k];
+    const long place = place_in(columns + row[0], row[1] - row[0], held[k]);
+    if (place < 0) return 0;
+    places[k] = row[0] + (int32_t)place;
+  }
+  return 1;
+}
+
+static inline __attribute__((always_inline)) void add_blocks(const target_t *t, long cell, const double *K,
+                                                             const int size)
+{
+  const int n = t->nodes;
+  const int16_t *place = t->places + cell * n * n;
+  for (int i = 0; i < n; i++, place += n, K += size * size * n) {
+    const int32_t r = t->numbers[n * cell + i];
+    const int ghost = r >= t->owned;
+    for (int j = 0; j < n; j++) {
+      const int other = place[j] < 0, part = ghost ? 2 : other;
+      const int32_t *row = t->rows[part] + (long)size * (ghost ? r - t->owned : r);
+      const long length = row[1] - row[0];
+      double *to = t->values[part] + row[0] + (other ? ~place[j] : place[j]);
+      for (int a = 0; a < size; a++)
+        for (int b = 0; b < size; b++) to[a * length + b] += K[a * size * n + size * j + b];
+    }
+  }
+}
+
+static void add_cell(const target_t *t, long cell, double *K)
+{
+  const int n = t->nodes, size = t->size, total = n * size;
+  for (int i = 0; i < total; i++)
+    if (t->held[(long)size * t->numbers[n * cell + i / size] + i % size])
+      for (int j = 0; j < total; j++) K[i * total + j] = K[j * total + i] = 0;
+  if (size == 3)
+    add_blocks(t, cell, K, 3);
+  else if (size == 2)
+    add_blocks(t, cell, K, 2);
+  else
+    add_blocks(t, cell, K, size);
+}
+
+/* Add one integral of a bilinear form; K: space for a cell's matrix, x: for its coordinates. */
+void insertion_add(const target_t *t, const part_t *p, const geometry_t *g, const double *constants, double *K,
+                   double *x)
+{
+  const uint8_t perm[2] = {0, 0};
+  const long total = (long)t->nodes * t->size;
+  for (long e = 0; e < p->count; e++) {
+    const int32_t *entity = p->entities + (p->facets ? 2 * e : e);
+    const int32_t *nodes = g->numbers + (long)g->nodes * entity[0];
+    const int local = p->facets ? entity[1] : 0;
+    for (int i = 0; i < g->nodes; i++) memcpy(x + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
+    memset(K, 0, total * total * sizeof(double));
+    p->kernel(K, p->coefficients + e * p->width, constants, x, &local, perm VARIFORM_CUSTOM);
+    add_cell(t, entity[0], K);
+  }
+}
