@@ -47,6 +47,7 @@ void points(const operator_t *op, long n, const double *X, int project, double *
 void singular_values(int rows, int cols, int plane, int improper, long n, const double *F,
                      double *U, double *s, double *V);
 void projection_set(void *factorize, void *eigen);
+extern const tabulate_t kernels[64];
 typedef struct {
   int owned, size, nodes; const int32_t *numbers; const int16_t *places; const int32_t *rows[3];
   double *values[3]; const int8_t *held;
@@ -116,11 +117,6 @@ def _load(path: Path) -> tuple[Any, Any]:
     ffi = cffi.FFI()
     ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
     ffi.cdef(_DECLARATIONS)
-    end = ", void *" if _dolfinx.CUSTOM_DATA else ""
-    arguments = (
-        "double *, const double *, const double *, const double *, const int *, const uint8_t *"
-    )
-    ffi.cdef("".join(f"void kernel_{k:02o}({arguments}{end});" for k in range(KERNELS)))
     loaded: Any = ffi.dlopen(str(path))
     lapack = ctypes.CDLL(PETSc.__file__)  # finds what PETSc is linked to, its LAPACK included
     functions = (lapack.dpotrf_, lapack.dsyev_)

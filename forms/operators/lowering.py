@@ -277,12 +277,11 @@ class _Lowering:
             raise MemoryError("no memory for the operators' kernels.")
         integrals: dict[Any, Any] = {}
         for k, (kind, number, _) in enumerate(found):
-            kernel = self.ffi.addressof(self.lib, f"kernel_{k:02o}")
             entities = _dolfinx.integration_entities(
                 self.mesh, _TYPES[kind], self._subdomain(kind), number
             )
             integrals.setdefault(_TYPES[kind], []).append(
-                (_address(self.ffi, kernel), entities, len(self.real))
+                (_address(self.ffi, self.lib.kernels[k]), entities, len(self.real))
             )
         form = _dolfinx.custom_form(
             self.mesh,

@@ -115,7 +115,9 @@ class FieldSplit:
         below.getPC().setType("sor")
         below.setOptionsPrefix(f"{self._prefix}pressure_")
         below.setFromOptions()
-        self._levels = OrderMultigrid(self._V, self._held, above, self._prefix, self._order)
+        self._levels = OrderMultigrid(
+            self._V, self._held, above, self._prefix, added=False, order=self._order
+        )
 
     def _mass_matrix(self) -> PETSc.Mat:
         """The pressure's mass matrix, numbered as the block is."""

@@ -11,10 +11,13 @@ from dolfinx import fem
 from ..assembly import System, displacement_degree
 from ..supports import is_mixed
 
-# Measured with OpenBLAS: in 3D a factorization is faster than multigrid up to 10-20 thousand
-# degrees of freedom, in the plane at every size tried (100 thousand). With a pressure up to 10 in a
-# cube and 40 in a slender bar of tetrahedra, of hexahedra up to 20 and 80.
-DIRECT_UP_TO = 20_000
+# Measured with OpenBLAS: in 3D multigrid is faster from 2,000 degrees of freedom on, but a
+# factorization also counts negative eigenvalues, and up to 5,000 it takes a hundredth of a second.
+# In the plane it is faster at every size tried (100 thousand).
+DIRECT_UP_TO = 5_000
+# With a pressure: faster up to 10 thousand in a cube and 40 in a slender bar of tetrahedra, of
+# hexahedra up to 20 and 80.
+SPLIT_FROM = {"tetrahedron": 40_000, "hexahedron": 80_000}
 
 
 def direct(symmetric: bool) -> dict[str, str]:
@@ -35,7 +38,8 @@ def multigrid(degree: int = 1) -> dict[str, str]:
     Newton's method is content with a direction that is 1 % off.
     """
     krylov = {"ksp_type": "cg", "ksp_rtol": "1e-2", "ksp_max_it": "200"}
-    return {**krylov, **({"pc_type": "mg"} if degree > 1 else aggregation())}
+    # Weak couplings left out: half the iterations on tetrahedra of degree 1.
+    return {**krylov, **({"pc_type": "mg"} if degree > 1 else aggregation("0.02"))}
 
 
 def field_split() -> dict[str, str]:
@@ -53,10 +57,11 @@ def field_split() -> dict[str, str]:
     }
 
 
-def aggregation() -> dict[str, str]:
-    """Smoothed aggregation, with Gauss-Seidel smoothing."""
+def aggregation(threshold: str = "-1") -> dict[str, str]:
+    """Smoothed aggregation, with Gauss-Seidel smoothing; weaker couplings are left out."""
     return {
         "pc_type": "gamg",
+        "pc_gamg_threshold": threshold,
         "mg_levels_ksp_type": "richardson",
         "mg_levels_ksp_max_it": "1",
         "mg_levels_pc_type": "sor",
@@ -66,19 +71,18 @@ def aggregation() -> dict[str, str]:
 def preset(system: System) -> dict[str, str]:
     """Options for a system's tangent.
 
-    Multigrid for symmetric displacement problems of bodies in 3D above 20 thousand degrees of
-    freedom (10 thousand for elements of degree 2 or 3), with the field split for symmetric
-    displacement-pressure problems of degree 2 above 40 thousand (hexahedra 80), else MUMPS.
+    Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
+    freedom, with the field split for symmetric displacement-pressure problems of degree 2 above 40
+    thousand (hexahedra 80), else MUMPS.
     """
+    V = system.u.function_space
+    if V.mesh.topology.dim != 3:
+        return direct(system.symmetric)
     degree = displacement_degree(system.u)
-    solid = system.u.function_space.mesh.topology.dim == 3
-    most = DIRECT_UP_TO if degree == 1 else DIRECT_UP_TO // 2
-    if solid and system.minimization and system.is_displacement and system.size > most:
+    if system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
         return multigrid(degree)
-    tetrahedra = system.u.function_space.mesh.topology.cell_name() == "tetrahedron"
-    most = DIRECT_UP_TO * (2 if tetrahedra else 4)
-    large = system.symmetric and system.size > most
-    if solid and large and degree == 2 and _has_one_pressure(system.u.function_space):
+    most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
+    if system.symmetric and system.size > most and degree == 2 and _has_one_pressure(V):
         return field_split()
     return direct(system.symmetric)
 

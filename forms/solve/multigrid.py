@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Multigrid over the order: elements of degree 2 and 3 smoothed, degree 1 below by aggregation."""
+"""Multigrid over the order: elements of degree 2 and 3, degree 1 below by aggregation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -16,32 +17,50 @@ from numpy.typing import NDArray
 from ..assembly import System
 from . import linear
 
-SLOWER = 3  # times the first solve's iterations, at which a preconditioner is built anew
+# Iterations for a digit, over those of the first solve, at which a preconditioner is built anew: an
+# assembly of its operators costs as much as 10 to 25 iterations.
+SLOWER = 2.0
+# A kept one that fails is given up after so many times its first iterations.
+PATIENCE = 4
+# The last linear solve aims this much below the goal, if so many digits are enough for it.
+BELOW, DIGITS = 0.3, 4
+LOOSEST = 0.1
+# Of the smoother beside the coarse correction: between 1/3 and 1 it changes little.
+WEIGHT = "0.5"
 
 
 class Kept:
-    """When a multigrid preconditioner is built: once per load step, and again when it slows down.
+    """When a multigrid preconditioner is built, and how far its linear solves go.
 
-    The smoothers always see the present tangent, and so do the blocks of a mixed unknown; what is
-    kept are the coarser operators.
+    It is built at the start of a path, and again when it slows down. The smoothers always see the
+    present tangent, and so do the blocks of a mixed unknown; what is kept are the coarser
+    operators. Newton's directions are solved for to the preset's tolerance, the last one as far as
+    it takes to get below the goal.
 
     Args:
         system: Problem that is solved.
         ksp: Solver with its options set.
         preset: Options in use that are the package's own; empty where the user chose.
         prefix: Prefix of the options.
+        user: Options that are the user's.
 
     Attributes:
         used: Whether there is anything to keep.
         stale: Whether the last solve used a preconditioner of an earlier state.
+        goal: Norm of the forces [N] at which Newton's method is to end; 0 where unknown.
     """
 
     def __init__(
-        self, system: System, ksp: PETSc.KSP, preset: Mapping[str, str], prefix: str
+        self,
+        system: System,
+        ksp: PETSc.KSP,
+        preset: Mapping[str, str],
+        prefix: str,
+        user: Mapping[str, Any],
     ) -> None:
         from .fieldsplit import FieldSplit  # which has a use for multigrid itself
 
-        self.used = preset.get("ksp_type") in ("cg", "gmres")
+        self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
         self._levels: OrderMultigrid | None = None
         self._blocks: FieldSplit | None = None
         kind = preset.get("pc_type") if self.used else None
@@ -50,7 +69,26 @@ class Kept:
             self._levels = OrderMultigrid(V, system.constrained, ksp, prefix)
         elif kind == "python":
             self._blocks = FieldSplit(system, ksp, prefix)
-        self._ksp, self.stale, self._due, self._first = ksp, False, True, 0
+        self._ksp, self.stale, self._due, self._first = ksp, False, True, 0.0
+        self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
+        self._rtol, *_, self._most = ksp.getTolerances()
+        self._asked = self._rtol
+        if self.used:
+            # Not earlier: SNES asks for a new preconditioner after each tangent.
+            ksp.setPreSolve(self._begin)
+
+    def _begin(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Say what is kept, and set the tolerances of this solve. Collective."""
+        ksp.getPC().setReusePreconditioner(self.stale)
+        norm = b.norm()
+        enough = BELOW * self.goal / norm if norm > 0 else 0.0
+        self._asked = self._rtol
+        if self._own[0] and enough >= 10.0**-DIGITS:
+            self._asked = min(enough, LOOSEST)
+        most = self._most
+        if self._own[1] and self.stale:
+            most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
+        ksp.setTolerances(rtol=self._asked, max_it=most)
 
     def renew(self) -> None:
         """Build anew at the next tangent."""
@@ -60,19 +98,19 @@ class Kept:
         """Build, or keep, the preconditioner for a tangent just assembled. Collective."""
         if not self.used:
             return
-        self._ksp.getPC().setReusePreconditioner(not self._due)
         if self._due and self._levels is not None:
             self._levels.update(A)
         if self._blocks is not None:
             self._blocks.update(A, coarse=self._due)
         if self._due:
-            self._first = 0
+            self._first = 0.0
         self.stale, self._due = not self._due, False
 
     def count(self, iterations: int) -> None:
         """Take note of a linear solve's iterations."""
-        self._first = self._first or iterations
-        if iterations > SLOWER * self._first:
+        each = iterations / -np.log10(self._asked)
+        self._first = self._first or each
+        if each > SLOWER * self._first:
             self.renew()
 
     def destroy(self) -> None:
@@ -84,18 +122,23 @@ class Kept:
 
 
 class OrderMultigrid:
-    """A two-level preconditioner: SSOR on the unknown's elements, one cycle of GAMG on linear ones.
+    """A two-level preconditioner: the unknown's elements, and linear ones by a cycle of GAMG.
 
     K_1 = P^T K P,  P the interpolation from degree 1, without supported degrees of freedom
 
-    Smoothed aggregation alone needs three to four times as many iterations on elements of degree 2,
-    whose rows have hundreds of entries.
+    Added:       M^-1 = w D^-1 + P M_1^-1 P^T,  D the blocks of the nodes on K's diagonal
+    Multiplied:  SSOR, the correction by M_1 of what is left, SSOR again
+
+    The sum needs more iterations, but each costs one product with K instead of four. Smoothed
+    aggregation alone needs three to four times as many iterations on elements of degree 2, whose
+    rows have hundreds of entries.
 
     Args:
         V: Space of displacements of degree 2 or more.
         constrained: Local numbers of the owned rows that are supported.
         ksp: Solver whose preconditioner this is; its other options are left alone.
-        prefix: Prefix of the coarse solver's options.
+        prefix: Prefix of the options of both levels: smoother_ and coarse_.
+        added: The sum, as a Krylov method wants it, or the product, as one application of many.
         order: Owned degrees of freedom of V in the order of the rows, where it is another one.
     """
 
@@ -105,6 +148,7 @@ class OrderMultigrid:
         constrained: NDArray[np.int32],
         ksp: PETSc.KSP,
         prefix: str,
+        added: bool = True,
         order: NDArray[np.intp] | None = None,
     ) -> None:
         cell = V.mesh.basix_cell()
@@ -116,22 +160,15 @@ class OrderMultigrid:
         self._pc = ksp.getPC()
         self._pc.setType("mg")
         self._pc.setMGLevels(2)
-        self._pc.setMGType(PETSc.PC.MGType.MULTIPLICATIVE)
+        kinds = PETSc.PC.MGType
+        self._pc.setMGType(kinds.ADDITIVE if added else kinds.MULTIPLICATIVE)
         self._pc.setMGInterpolation(1, self.P)
-        smoother = self._pc.getMGSmoother(1)
-        smoother.setType("richardson")
-        smoother.setTolerances(max_it=1)
-        smoother.getPC().setType("sor")
-        below = self._pc.getMGCoarseSolve()
-        options, key = PETSc.Options(), f"{prefix}coarse_"
-        below.setOptionsPrefix(key)
-        ours = {"ksp_type": "preonly", **linear.aggregation()}
-        ours = {k: v for k, v in ours.items() if not options.hasName(key + k)}
-        for name, value in ours.items():
-            options[key + name] = value
-        below.setFromOptions()
-        for name in ours:
-            options.delValue(key + name)
+        smoothing = {"ksp_type": "richardson", "ksp_max_it": "1", "pc_type": "sor"}
+        if added:
+            smoothing |= {"pc_type": "pbjacobi", "ksp_richardson_scale": WEIGHT}
+        _set(self._pc.getMGSmoother(1), f"{prefix}smoother_", smoothing)
+        below = {"ksp_type": "preonly", **linear.aggregation()}
+        _set(self._pc.getMGCoarseSolve(), f"{prefix}coarse_", below)
 
     def update(self, A: PETSc.Mat) -> None:
         """Take the coarse operator of a tangent. Collective."""
@@ -147,6 +184,18 @@ class OrderMultigrid:
         self.P.destroy()
         if self.coarse is not None:
             self.coarse.destroy()
+
+
+def _set(ksp: PETSc.KSP, prefix: str, presets: Mapping[str, str]) -> None:
+    """Give a level's solver its options; those of the user go over ours."""
+    options = PETSc.Options()
+    ksp.setOptionsPrefix(prefix)
+    ours = {k: v for k, v in presets.items() if not options.hasName(prefix + k)}
+    for name, value in ours.items():
+        options[prefix + name] = value
+    ksp.setFromOptions()
+    for name in ours:
+        options.delValue(prefix + name)
 
 
 def _without_supports(

@@ -82,6 +82,7 @@ class Newton:
         if projection == "always":
             system.prepare_projection()
         self.projection, self._projecting = projection, False
+        self._known: tuple[np.ndarray, float] | None = None
         self._damping: Damping | None = None
         self._left_multigrid = False
         self.system, self.ctol, self.prefix = system, ctol, prefix
@@ -129,7 +130,8 @@ class Newton:
             database[self.prefix + "snes_linesearch_type"] = base["snes_linesearch_type"]
         self.snes.getKSP().setPostSolve(self._hold)
         own = "pc_type" not in self._user
-        self._kept = Kept(self.system, self.snes.getKSP(), preset if own else {}, self.prefix)
+        ksp, presets = self.snes.getKSP(), preset if own else {}
+        self._kept = Kept(self.system, ksp, presets, self.prefix, self._user)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
         snes = PETSc.SNES().create(self.system.comm)
@@ -193,7 +195,6 @@ class Newton:
             else:
                 break
             outcome = self._run(objective, outcome)
-        self._kept.renew()
         start.destroy()
         self._imbalance = None
         return outcome
@@ -266,6 +267,8 @@ class Newton:
         """
         system = self.system
         self._projecting = self.projection == "always"
+        # Measuring leaves the tangent at u behind, which is that of the predictor.
+        assembled = self.scaled.rounding == 0 and not (self._projecting or self.scaled.mixed)
         if self.scaled.rounding == 0:
             self.scaled.measure()
         self.measure_imbalance()
@@ -283,7 +286,7 @@ class Newton:
         # Not the jump itself, a length among forces: it is prescribed below.
         self.b.array[system.constrained] = 0
         start = self.x.copy()
-        self._carry(self.b)
+        self._carry(self.b, assembled)
         for x in (self.x, start):  # without the carried step where that leaves no finite energy
             system.prescribe(x)
             self.scaled.put(x)
@@ -292,11 +295,15 @@ class Newton:
         jump.destroy()
         start.destroy()
 
-    def _carry(self, b: PETSc.Vec) -> None:
+    def _carry(self, b: PETSc.Vec, assembled: bool) -> None:
         """Move x by the tangent solve for b, damped where that is singular; else not at all."""
         du, ksp, damped = b.duplicate(), self.snes.getKSP(), self._damping is not None
         while True:
-            self._assemble_tangent()
+            if assembled and not damped:
+                self._kept.prepare(self.A)
+            else:
+                self._assemble_tangent()
+            assembled = False
             ksp.setOperators(self.A)
             ksp.solve(b, du)
             if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
@@ -364,6 +371,7 @@ class Newton:
         if self._stepping and self._full is not None:
             snes = self._full
         self._energetic, self._resumed = objective, before is not None
+        self._known = None
         damped = self._projecting or self._damping is not None
         if "snes_max_it" not in self._user:
             most = MOST if not damped else MOST_DAMPED if objective else MOST_NEAR
@@ -418,8 +426,13 @@ class Newton:
         return inertia(snes.getKSP(), self.system)
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
-        self.scaled.put(x)
-        return self.system.energy()
+        # A line search begins with the energy of the state at which the last one ended.
+        known = self._known is not None and np.array_equal(self._known[0], x.array_r)
+        if not self.system.comm.allreduce(known, MPI.LAND):
+            self.scaled.put(x)
+            self._known = x.array_r.copy(), self.system.energy()
+        assert self._known is not None
+        return self._known[1]
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         system = self.system
@@ -453,11 +466,11 @@ class Newton:
         return changed
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
-        fnorm = norms[2]
+        fnorm, before = norms[2], self._last[0]
         self._history.append(float(fnorm))
         if not np.isfinite(fnorm):
             return -4
-        x = snes.getSolution()
+        first, x = iteration == 0 and not self._resumed, snes.getSolution()
         if iteration:
             change = np.abs(x.array_r - self._x_before.array_r)[self.scaled.displacements]
             largest = float(change.max(initial=0.0))
@@ -470,9 +483,11 @@ class Newton:
         x.copy(self._x_before)
         level = max(self._reactions, self._imbalance or 0.0)
         self._last = (fnorm, level)
-        small = fnorm <= max(self.rtol * level, self.atol, self.scaled.rounding)
-        first = iteration == 0 and not self._resumed
-        settled = first or self._correction <= self.ctol * self.scaled.size
+        self._kept.goal = max(self.rtol * level, self.atol, self.scaled.rounding)
+        small = fnorm <= self._kept.goal
+        # The next correction is smaller than the last one as the forces are.
+        expected = self._correction * min(1.0, fnorm / before) if iteration else np.inf
+        settled = first or expected <= self.ctol * self.scaled.size
         if small and settled:
             return CONVERGED_CODE
         if self._energetic and fnorm <= self._near * level:

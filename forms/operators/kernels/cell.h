@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* Cell and facet kernels: operand at the points -> operators point by point -> FFCx's kernel of the form.
 
-   DOLFINx calls kernel_k for the k-th integral of a form. The form's first constant is the number of its
+   DOLFINx calls kernels[k] for the k-th integral of a form. The form's first constant is the number of its
    first integral in the table below, so that nothing but a small whole number travels through DOLFINx;
    the table's entries hold pointers to the kernels that FFCx compiled. Nothing is kept between cells. */
 #include <stdlib.h>
@@ -111,7 +111,7 @@ static void integrate(int k, double *A, const double *w, const double *c, const 
 #endif
 /* k: two octal digits, so that 0##k is the number. */
 #define KERNEL(k)                                                                                   \
-  void kernel_##k(double *A, const double *w, const double *c, const double *x, const int *entity, \
+  static void kernel_##k(double *A, const double *w, const double *c, const double *x, const int *entity, \
                   const uint8_t *perm KERNEL_END)                                                   \
   {                                                                                                 \
     integrate(0##k, A, w, c, x, entity, perm);                                                      \
@@ -121,3 +121,7 @@ static void integrate(int k, double *A, const double *w, const double *c, const 
   KERNEL(a##4) KERNEL(a##5) KERNEL(a##6) KERNEL(a##7)
 
 KERNELS(0) KERNELS(1) KERNELS(2) KERNELS(3) KERNELS(4) KERNELS(5) KERNELS(6) KERNELS(7)
+
+#define NAMES(a) \
+  kernel_##a##0, kernel_##a##1, kernel_##a##2, kernel_##a##3, kernel_##a##4, kernel_##a##5, kernel_##a##6, kernel_##a##7
+const tabulate_t kernels[] = {NAMES(0), NAMES(1), NAMES(2), NAMES(3), NAMES(4), NAMES(5), NAMES(6), NAMES(7)};
