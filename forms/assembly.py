@@ -21,7 +21,8 @@ from ufl.algorithms.analysis import extract_constants
 from . import _checks, _dolfinx, insertion
 from .operators.chain import Dependent, dependents, expanded
 from .operators.jets import Jet
-from .operators.lowering import compiled, default_degree
+from .operators.lowering import compiled
+from .quadrature import with_quadrature
 from .supports import Support, is_mixed
 from .variation import residual, tangent
 
@@ -210,9 +211,8 @@ def system(
         supports: Prescribed displacements.
         virtual_work: Linear form added to the residual, for loads without a potential.
 
-    Integrals without a quadrature degree get 2 k for displacements of degree k (3 k - 1 on
-    facets where that is more), the same in energy, residual and tangent, so that they are exact
-    derivatives of each other.
+    Integrals without a quadrature degree get that of :func:`forms.quadrature.quadrature_degree`,
+    the same in energy, residual and tangent, so that they are exact derivatives of each other.
 
     Raises:
         ValueError: a form of the wrong kind, one that does not contain u or contains a part of it
@@ -283,27 +283,6 @@ def _check_parts(potential: Any, u: fem.Function) -> None:
                 f"the potential contains {c.name}, a part of {u.name} that is not differentiated: "
                 "write it with u, p = ufl.split(w), not with w.split() or w.sub()."
             )
-
-
-def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
-    """The form with a quadrature degree on every integral that has none.
-
-    Integrals written with ``ufl.dx`` also get the subdomains of those beside them that were written
-    with ``body.dx("name")``: DOLFINx wants them alike.
-    """
-    if not isinstance(form, ufl.Form):
-        return form
-    integrals: list[Any] = []
-    subdomains = {
-        i.integral_type(): i.subdomain_data() for i in form.integrals() if i.subdomain_data()
-    }
-    for integral in form.integrals():
-        metadata = dict(integral.metadata())
-        default = default_degree(integral.integral_type(), degree)
-        metadata.setdefault("quadrature_degree", default)
-        data = integral.subdomain_data() or subdomains.get(integral.integral_type())
-        integrals.append(integral.reconstruct(metadata=metadata, subdomain_data=data))
-    return ufl.Form(integrals)
 
 
 def displacement_degree(u: fem.Function) -> int:

@@ -142,51 +142,6 @@ def test_reese(demo):
     assert numbers["steps"][-1]["load"] == 100 and printed.count("0 refused") == 4
 
 
-def test_benchmark_of_operators_runs(run, tmp_path):
-    """The rows of the full benchmark, at toy size: every way is assembled and timed."""
-    done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(rows) == 35 and all(row.get("ratio", 1) > 0 for row in rows)
-    assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
-
-
-def test_benchmark_of_hard_cases_runs(run, tmp_path):
-    """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach."""
-    done = run("-m", "demos.benchmarks.hard_cases", "--small", cwd=tmp_path)
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    solved = {
-        name: [r["case"] for r in rows if r["solver"] == name and r["solved"]]
-        for name in ("variform", "DOLFINx")
-    }
-    assert len(rows) == 10 and len(solved["variform"]) == 5
-    assert solved["DOLFINx"] == ["confined", "pressure"]
-    assert all(row["tangents"] >= row["iterations"] for row in rows)
-    assert (tmp_path / "results" / "hard_cases.csv").stat().st_size > 1000
-
-
-def test_benchmark_of_multigrid_runs(run, tmp_path):
-    """Toy sizes: every element is solved both ways."""
-    done = run("-m", "demos.benchmarks.multigrid", "--small", "P2", "Q2-Q1", cwd=tmp_path)
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [row["what"] for row in rows] == 2 * ["solve", "twist", "twist"]
-    assert all(5 < row["iterations"] < 60 for row in rows if row["what"] == "solve")
-    assert (tmp_path / "results" / "multigrid.csv").stat().st_size > 200
-
-
-@pytest.mark.slow
-def test_benchmark_of_locking_runs(run, tmp_path):
-    """Two ratios on toy meshes: a pressure helps at nu = 0.4999 in both bodies."""
-    done = run("-m", "demos.benchmarks.locking", "--small", cwd=tmp_path, timeout=300)
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(rows) == 28
-    for scene in ("Cook", "cantilever"):
-        found = [r for r in rows if (r["scene"], r["energy"]) == (scene, "neo-Hookean")]
-        error = {r["element"]: r["error"] for r in found if r["nu"] == 0.4999}
-        assert error["P2-P1"] < 0.8 * error["P2"] < error["P1"]
-        assert error["Q2-Q1"] < 0.8 * error["Q2"] < error["Q1"]
-    assert (tmp_path / "results" / "locking.png").stat().st_size > 10_000
-
-
 @pytest.mark.slow
 def test_twist_on_two_ranks_gives_the_numbers_of_one(demo):
     """Every step, moment and volume ratio to 1e-6, at the default tolerances."""

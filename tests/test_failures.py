@@ -163,7 +163,7 @@ def test_linear_solvers_agree(linear):
     options = linear_presets.multigrid() if linear == "gamg" else {}
     path = forms.solve(psi, u, supports, options=options, prefix=f"{linear}_", rtol=1e-12)
     ksp_its = path.steps[0].convergence.linear_iterations
-    assert (ksp_its > 2 * path.steps[0].convergence.iterations) == (linear == "gamg")
+    assert (ksp_its > path.steps[0].convergence.iterations) == (linear == "gamg")
     assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
 
 

@@ -80,10 +80,16 @@ exec(compile(SCENE, __file__, "exec"), NAMES)
 bent, iterations = NAMES["bent"], NAMES["iterations"]
 
 
+def iterative_from(monkeypatch, size):
+    """The presets of large problems from a size on."""
+    monkeypatch.setattr(presets, "DIRECT_UP_TO", size)
+    monkeypatch.setattr(presets, "SPLIT_FROM", dict.fromkeys(presets.SPLIT_FROM, size))
+
+
 @pytest.fixture
 def iterative(monkeypatch):
     """The presets of large problems at any size."""
-    monkeypatch.setattr(presets, "DIRECT_UP_TO", 0)
+    iterative_from(monkeypatch, 0)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -91,7 +97,7 @@ def test_the_solution_is_the_factorization_s(case, monkeypatch):
     """Iterative and direct linear solves end in the same state."""
     states = []
     for up_to in (10**9, 0):
-        monkeypatch.setattr(presets, "DIRECT_UP_TO", up_to)
+        iterative_from(monkeypatch, up_to)
         _, w, t, potential, held = bent(CASES[case][0], 2, CASES[case][1])
         path = forms.follow(potential, w, held, t, step=0.5, rtol=1e-11, progress=False)
         states.append(w.x.array.copy())
@@ -138,6 +144,7 @@ def test_the_field_split_on_two_ranks(cells, parallel):
         + """
 linear = sys.modules["forms.solve.linear"]
 linear.DIRECT_UP_TO = 0
+linear.SPLIT_FROM = dict.fromkeys(linear.SPLIT_FROM, 0)
 body, w, t, potential, held = bent(sys.argv[1], 3, np.inf)
 forms.follow(potential, w, held, t, step=0.5, rtol=1e-11, progress=False)
 kind, count = iterations(w, potential, held)
@@ -178,7 +185,7 @@ def test_the_field_split_is_for_large_symmetric_bodies_in_space(monkeypatch):
         return presets.preset(forms.system(potential, w, held, load))["pc_type"]
 
     assert kind() == "cholesky"
-    monkeypatch.setattr(presets, "DIRECT_UP_TO", 100)
+    iterative_from(monkeypatch, 100)
     assert kind() == kind("hexahedron") == "python" and kind(work=True) == "lu"
     body = meshes.cook(MPI.COMM_WORLD, n=8)
     w = forms.displacement_pressure(body)

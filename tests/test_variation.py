@@ -10,8 +10,8 @@ from dolfinx.mesh import CellType
 
 import forms
 from forms import stress
-from forms.assembly import with_quadrature
 from forms.operators.chain import dependents
+from forms.quadrature import with_quadrature
 
 H = 0.004 / 2.0 ** np.arange(3)
 

@@ -20,7 +20,7 @@ from dolfinx.fem import petsc as fem_petsc
 
 import forms
 import meshes
-from forms import energies
+from forms import energies, insertion
 from forms.operators.lowering import compiled
 
 from .record import Table, median_times
@@ -108,8 +108,8 @@ def cases(order, degree, n):
     stored = Stored(u, degree, v, du)
     vector = systems["fixed_corotated"].create_vector()
     A = systems["fixed_corotated"].create_matrix()
-    csr = fem.create_matrix(systems["fixed_corotated"]._tangent)
-    residuals, aij, fast = {}, {}, {}
+    foreign = fem_petsc.create_matrix(systems["fixed_corotated"]._tangent)
+    residuals, solving, usual = {}, {}, {}
 
     def into_vector(form, before=None):
         def work():
@@ -121,22 +121,11 @@ def cases(order, degree, n):
 
         return work
 
-    def into_aij(form, before=None):
+    def into_matrix(A, form, before=None):
         def work():
             if before:
                 before()
-            A.zeroEntries()
-            fem_petsc.assemble_matrix(A, form)
-            A.assemble()
-
-        return work
-
-    def into_csr(form, before=None):
-        def work():
-            if before:
-                before()
-            csr.set_value(0)
-            fem.assemble_matrix(csr, form)
+            insertion.assemble(A, form, [])
 
         return work
 
@@ -150,9 +139,11 @@ def cases(order, degree, n):
     )
     tangents["fixed_corotated, stored, NumPy"] = (stored.tangent, stored.update_tangent)
     for name, (form, before) in tangents.items():
-        aij[name], fast[name] = into_aij(form, before), into_csr(form, before)
+        solving[name] = into_matrix(A, form, before)
+        usual[name] = into_matrix(foreign, form, before)
     cells = box.topology.index_map(3).size_local
-    return cells, {"residual": residuals, "tangent, AIJ": aij, "tangent, CSR": fast}
+    ways = {"residual": residuals, "tangent": solving, "tangent, PETSc's insertion": usual}
+    return cells, ways
 
 
 def sheets(order, n):
@@ -206,7 +197,7 @@ def main(small=False):
         cells, variants = sheets(order, 5 if small else 100)
         times = median_times(variants, repeats)
         base = times["neo_hookean_sheet, plain UFL"]
-        about = {"element": f"P{order}", "what": "sheet, tangent, AIJ"}
+        about = {"element": f"P{order}", "what": "sheet, tangent"}
         for name, t in times.items():
             per_cell = {"us per cell": round(1e6 * t / cells, 3), "ratio": round(t / base, 2)}
             table.add(**about, energy=name, **per_cell)

@@ -23,10 +23,11 @@ from dolfinx.fem import petsc as fem_petsc
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
-from ..assembly import displacement_degree, system, with_quadrature
+from ..assembly import displacement_degree, system
 from ..operators.chain import dependents, expanded
 from ..operators.jets import Jet
 from ..operators.lowering import compiled
+from ..quadrature import with_quadrature
 from ..supports import Support
 from ..variation import residual
 from . import linear
@@ -86,7 +87,7 @@ class Bordered:
         self.system = system(potential, u, supports, virtual_work)
         self.q, self.rtol, self.ctol, self.most = q, rtol, ctol, max_iterations
         self.degree = displacement_degree(u)
-        R = with_quadrature(residual(potential, u), self.degree)
+        R = residual(with_quadrature(potential, self.degree), u)
         if virtual_work is not None:
             R += with_quadrature(virtual_work, self.degree)
         R_q = by_constant(R, q)

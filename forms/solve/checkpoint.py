@@ -170,8 +170,11 @@ class Archive:
         steps: Sequence[Step],
         control: Mapping[str, Any],
         now: bool = False,
-    ) -> None:
+    ) -> bool:
         """Write a checkpoint where one is due after so many steps, or now; see :class:`Saved`.
+
+        Returns:
+            Whether one was due, alike on all ranks.
 
         Raises:
             ValueError: a record holds none of numbers, texts, lists, dictionaries and arrays.
@@ -180,7 +183,7 @@ class Archive:
         on_rank_zero(self._comm, lambda: lines.extend(map(_line, steps[len(lines) :])))
         due = now or len(steps) % self._every == 0
         if not due or self._written == len(steps):
-            return
+            return False
         self._written = len(steps)
         gathered = [self._order.gather(state) for state in states]
         try:
@@ -193,6 +196,7 @@ class Archive:
                     stacklevel=4,
                 )
             self._warned = True
+        return True
 
     # All below runs on rank 0 alone.
 

@@ -170,7 +170,8 @@ def follow(
         if archive is not None and earlier is not None:
             control = {**vars(walk), "length": earlier[1], "newton": newton.memory()}
             counts = {"refused": path.refused, "seconds": path.seconds}
-            archive.write((before, earlier[0]), path.steps, {**control, **counts}, now)
+            if archive.write((before, earlier[0]), path.steps, {**control, **counts}, now):
+                newton.renew()  # as the run that goes on from this checkpoint has to
 
     try:
         if archive is not None and (saved := archive.read()) is not None:
@@ -319,6 +320,7 @@ def _resume(
         t.value = first
         _predict(newton)
         newton.recall(saved.control["newton"])
+        newton.renew()
     path.steps += [Step(*step) for step in saved.steps]
     path.refused, path.seconds = saved.control["refused"], saved.control["seconds"]
     path.resumed = path.load

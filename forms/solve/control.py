@@ -12,8 +12,9 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 
-from ..assembly import System, with_quadrature
+from ..assembly import System
 from ..operators.lowering import compiled
+from ..quadrature import with_quadrature
 from ..supports import Support
 from ..variation import residual
 from .bordered import Bordered, by_constant

@@ -20,6 +20,9 @@ from . import linear
 # Iterations for a digit, over those of the first solve, at which a preconditioner is built anew: an
 # assembly of its operators costs as much as 10 to 25 iterations.
 SLOWER = 2.0
+# Iterations for a digit above which a factorization is faster, up to so many unknowns: in a body
+# that is nearly incompressible and has no pressure of its own.
+SLOW, FACTORIZED_UP_TO = 30, 50_000
 # A kept one that fails is given up after so many times its first iterations.
 PATIENCE = 4
 # The last linear solve aims this much below the goal, if so many digits are enough for it.
@@ -47,6 +50,7 @@ class Kept:
     Attributes:
         used: Whether there is anything to keep.
         stale: Whether the last solve used a preconditioner of an earlier state.
+        slow: Whether a factorization would be faster.
         goal: Norm of the forces [N] at which Newton's method is to end; 0 where unknown.
     """
 
@@ -70,6 +74,7 @@ class Kept:
         elif kind == "python":
             self._blocks = FieldSplit(system, ksp, prefix)
         self._ksp, self.stale, self._due, self._first = ksp, False, True, 0.0
+        self.slow, self._small = False, system.size <= FACTORIZED_UP_TO
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
         self._asked = self._rtol
@@ -106,12 +111,16 @@ class Kept:
             self._first = 0.0
         self.stale, self._due = not self._due, False
 
-    def count(self, iterations: int) -> None:
-        """Take note of a linear solve's iterations."""
-        each = iterations / -np.log10(self._asked)
+    def count(self) -> None:
+        """Take note of the iterations of the linear solve that has just ended."""
+        if not self.used:
+            return
+        each = self._ksp.getIterationNumber() / -np.log10(self._asked)
         self._first = self._first or each
         if each > SLOWER * self._first:
             self.renew()
+        exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+        self.slow = self._small and not self.stale and (each > SLOW or exhausted)
 
     def destroy(self) -> None:
         """Free the matrices."""

@@ -26,6 +26,9 @@ from .stability import inertia
 NEAR, NEARER = 1e-3, 1e-5
 # Newton iterations of a run; a sheet of wrinkles that turns slack and taut takes its time.
 MOST, MOST_DAMPED, MOST_NEAR = 30, 200, 12
+# Part of the eigenvalues that are negative where a start is no neighbor of any equilibrium: a tenth
+# where a throw of the nodes by a tenth of the cells has inverted some; a buckled body has a few.
+RUINED = 0.05
 # Damping below which a tangent's eigenvalues are its own.
 LIGHT = 1e-8
 NAN = "nan or infinite"
@@ -38,7 +41,8 @@ PROJECTIONS = ("auto", "always", "never")
 class Newton:
     """SNES on a system, reused from load step to load step.
 
-    Converged means |R_free| <= rtol * force level and max |du| <= ctol * model size. R_free are the
+    Converged means |R_free| <= rtol * force level and max |du| <= ctol * model size, du the last
+    correction, or with iterative linear solves the next one to be expected. R_free are the
     out-of-balance forces where nothing is prescribed; the force level is the larger of the
     reactions' norm and of the imbalance that the load increment made, with the rounding error of
     the forces, eps * typical K_ii * model size * sqrt(n), as its floor.
@@ -155,6 +159,8 @@ class Newton:
             self.scaled.measure()
         if self._imbalance is None:
             self.measure_imbalance()
+        if self._kept.slow:
+            self._leave_multigrid()
         self.scaled.get(self.x)
         system.prescribe(self.x)
         self.scaled.put(self.x)
@@ -173,7 +179,9 @@ class Newton:
                 break
             if code == -3 and not self._kept.used:
                 self.snes.getKSP().reset()  # MUMPS does not forget a failure
-            if code == -3 and self._kept.stale:
+            if code == -3 and self._kept.slow and self._leave_multigrid():
+                pass
+            elif code == -3 and self._kept.stale:
                 self._kept.renew()
             elif code == -3 and self._damping is not None and self._damping.stiffen():
                 pass
@@ -244,10 +252,21 @@ class Newton:
         self._build(self._preset)
         return True
 
+    def _is_ruined(self, snes: PETSc.SNES) -> bool:
+        """Whether so much of the tangent is negative that descent along it would only creep."""
+        if not self._energetic or self._projecting or self.projection != "auto":
+            return False
+        negative = self._negative(snes)
+        return negative is not None and negative > RUINED * self.system.size
+
     def memory(self) -> dict[str, Any]:
         """What is kept from one load to the next: damping, and that multigrid failed."""
         damping, left = self._damping, linear.direct(self.system.symmetric) == self._preset
         return {"direct": left, "damping": damping and (damping.scale, damping.strength)}
+
+    def renew(self) -> None:
+        """Keep nothing of the preconditioner for the next step."""
+        self._kept.renew()
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Take the memory of an earlier Newton, after the first tangent. Collective."""
@@ -452,6 +471,7 @@ class Newton:
     def _hold(self, ksp: PETSc.KSP, b: PETSc.Vec, step: PETSc.Vec) -> None:
         """Keep supports exact: multigrid's coarse levels may move them by its tolerance."""
         step.array[self.system.constrained] = 0
+        self._kept.count()
 
     def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Stiffen the damping until the step lowers the energy; whether the step was changed."""
@@ -475,7 +495,6 @@ class Newton:
             change = np.abs(x.array_r - self._x_before.array_r)[self.scaled.displacements]
             largest = float(change.max(initial=0.0))
             self._correction = self.system.comm.allreduce(largest, MPI.MAX)
-            self._kept.count(snes.getKSP().getIterationNumber())
             if self._energetic and self._damping is not None:
                 self._x_before.axpy(-1, x)
                 step = snes.getSolutionUpdate().norm()
@@ -485,11 +504,16 @@ class Newton:
         self._last = (fnorm, level)
         self._kept.goal = max(self.rtol * level, self.atol, self.scaled.rounding)
         small = fnorm <= self._kept.goal
-        # The next correction is smaller than the last one as the forces are.
-        expected = self._correction * min(1.0, fnorm / before) if iteration else np.inf
-        settled = first or expected <= self.ctol * self.scaled.size
+        # With iterative solves the next correction is smaller than the last one as the forces are;
+        # with a factorization it takes one step to see how much smaller.
+        ratio = min(1.0, fnorm / before) if self._kept.used and iteration else 1.0
+        settled = first or self._correction * ratio <= self.ctol * self.scaled.size
         if small and settled:
             return CONVERGED_CODE
         if self._energetic and fnorm <= self._near * level:
             return NEAR_CODE
+        if self._kept.slow:
+            return -3
+        if iteration == 1 and self._is_ruined(snes):
+            return -6
         return -5 if iteration >= snes.getTolerances()[3] else 0

@@ -42,7 +42,7 @@ def main():
     t = forms.load_factor(body)
     u = forms.displacement(body, given.degree)
     F = forms.deformation_gradient(u)
-    potential = getattr(energies, given.energy)(F, MU, LMBDA) * ufl.dx(degree=given.degree)
+    potential = getattr(energies, given.energy)(F, MU, LMBDA) * ufl.dx
     fixed = forms.clamp(u, left)
     twist = forms.rotate(u, right, angle=TWIST * t, axis=(1, 0, 0), shift=(STRETCH * t, 0, 0))
     about = {"dofs": u.function_space.dofmap.index_map.size_global * 3, "ranks": COMM.size}

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Toy-sized runs of every benchmark, as a reader would start them."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from demos.benchmarks.peers.points import right_values, states
+from demos.benchmarks.peers.problem import block, quadratic, turned
+from demos.benchmarks.peers.ways import closed_form
+
+
+def test_benchmark_of_operators_runs(run, tmp_path):
+    """The rows of the full benchmark, at toy size: every way is assembled and timed."""
+    done = run("-m", "demos.benchmarks.operators", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 35 and all(row.get("ratio", 1) > 0 for row in rows)
+    assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
+
+
+def test_benchmark_of_hard_cases_runs(run, tmp_path):
+    """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach."""
+    done = run("-m", "demos.benchmarks.hard_cases", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    solved = {
+        name: [r["case"] for r in rows if r["solver"] == name and r["solved"]]
+        for name in ("variform", "DOLFINx")
+    }
+    assert len(rows) == 10 and len(solved["variform"]) == 5
+    assert solved["DOLFINx"] == ["confined", "pressure"]
+    assert all(row["tangents"] >= row["iterations"] for row in rows)
+    assert (tmp_path / "results" / "hard_cases.csv").stat().st_size > 1000
+
+
+def test_benchmark_of_multigrid_runs(run, tmp_path):
+    """Toy sizes: every element is solved both ways."""
+    done = run("-m", "demos.benchmarks.multigrid", "--small", "P2", "Q2-Q1", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["what"] for row in rows] == 2 * ["solve", "twist", "twist"]
+    assert all(5 < row["iterations"] < 60 for row in rows if row["what"] == "solve")
+    assert (tmp_path / "results" / "multigrid.csv").stat().st_size > 200
+
+
+@pytest.mark.slow
+def test_benchmark_of_locking_runs(run, tmp_path):
+    """Two ratios on toy meshes: a pressure helps at nu = 0.4999 in both bodies."""
+    done = run("-m", "demos.benchmarks.locking", "--small", cwd=tmp_path, timeout=300)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 28
+    for scene in ("Cook", "cantilever"):
+        found = [r for r in rows if (r["scene"], r["energy"]) == (scene, "neo-Hookean")]
+        error = {r["element"]: r["error"] for r in found if r["nu"] == 0.4999}
+        assert error["P2-P1"] < 0.8 * error["P2"] < error["P1"]
+        assert error["Q2-Q1"] < 0.8 * error["Q2"] < error["Q1"]
+    assert (tmp_path / "results" / "locking.png").stat().st_size > 10_000
+
+
+def test_benchmark_of_points_runs(run, tmp_path):
+    """A coarse map: equal stretches are right by variform only; the clamp is the documented one."""
+    done = run("-m", "demos.benchmarks.atlas", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 14
+    tangents = {row["way"]: row for row in rows if row["quantity"] == "dP/dF"}
+    equal = {way: row["wrong for first <="] for way, row in tangents.items()}
+    # Differences are off by less than the 1e-6 that count as wrong.
+    assert [way for way, gap in equal.items() if gap is None] == [
+        "differences",
+        "variform",
+        "F rounded once more",
+    ]
+    assert equal["NumPy, clamped 1e-6"] == 1e-8 and tangents["UFL, plain"]["not finite"] > 0.3
+    ours = tangents["variform"]
+    assert ours["right"] == tangents["F rounded once more"]["right"] and not ours["not finite"]
+    # 4 mu / (clamp s1) at s2 + s3 = 0, largest for the least s1 = 0.75.
+    assert ours["largest without a value"] == pytest.approx(4 / 0.75e-6, rel=1e-9)
+    assert tangents["NumPy, naive"]["largest without a value"] is None
+    assert (tmp_path / "results" / "atlas.png").stat().st_size > 10_000
+    assert (tmp_path / "results" / "atlas_map.csv").stat().st_size > 10_000
+
+
+def test_benchmark_of_newton_runs(run, tmp_path):
+    """Toy sizes: full steps solve the easy corner only, variform's two projections everything."""
+    done = run("-m", "demos.benchmarks.newton_atlas", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 40
+    right = {}
+    for row in rows:
+        right.setdefault(row["method"], []).append(not row["failure"])
+    assert all(right["variform, auto"] + right["variform, always"])
+    assert right["DOLFINx, full steps"] == 2 * [True, False, False, False]
+    assert not all(right["SNES, bt along R"]) and not all(right["variform, never"])
+    always = [row["iterations"] for row in rows if row["method"] == "variform, always"]
+    assert max(always) <= 25
+    assert (tmp_path / "results" / "newton_atlas.png").stat().st_size > 10_000
+
+
+def test_benchmark_of_peers_runs(run, tmp_path):
+    """Toy blocks: DOLFINx and variform agree with the reference, and every file is written."""
+    run("-m", "demos.benchmarks.peers", "--small", cwd=tmp_path)
+    lines = (tmp_path / "results" / "peers" / "rows.jsonl").read_text().splitlines()
+    rows = [json.loads(line) for line in lines]
+    assert not [row for row in rows if "error" in row]
+    paths = [row for row in rows if row["what"] == "path"]
+    assert len(paths) == 6 and all(row["residual"] <= row["tolerance"] for row in paths)
+    with (tmp_path / "results" / "peers.csv").open() as file:
+        compared = [row for row in csv.DictReader(file) if row["what"] == "path"]
+    assert len(compared) == 6 and all(float(row["off by"]) < 1e-6 for row in compared)
+    (ours,) = (row for row in rows if row.get("way") == "variform")
+    smooth = [state for state in states() if state not in ("rank 1", "zero")]
+    assert len(smooth) == 8 and all(ours[state] == "right / right" for state in smooth)
+    assert (tmp_path / "results" / "peers.png").stat().st_size > 10_000
+
+
+def test_peers_blocks_are_the_same_body():
+    """Volumes add up to 0.04 for both elements; the turned end keeps its lengths."""
+    points, cells = block(2)
+    corners = points[cells]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert volumes.min() > 0 and volumes.sum() == pytest.approx(0.04, rel=1e-12)
+    more, ten = quadratic(points, cells)
+    assert ten.shape == (len(cells), 10) and np.array_equal(more[: len(points)], points)
+    edge = more[ten[:, 4]] - points[cells[:, [0, 1]]].mean(axis=1)
+    assert np.abs(edge).max() < 1e-15
+    end = points[np.isclose(points[:, 0], 1)]
+    moved = end + turned(end, 0.7)
+    before, after = (np.linalg.norm(x[:, None] - x, axis=-1) for x in (end, moved))
+    assert np.abs(after - before).max() < 1e-15
+
+
+def test_peers_right_values_are_those_of_the_closed_form():
+    """Differences of the energy find stress and tangent to 1e-7, a hundredth of what is asked."""
+    for name, F in states().items():
+        if name not in ("rank 1", "zero"):
+            P, D = closed_form(F[None])
+            for found, right in zip(right_values(F), (P, D), strict=True):
+                assert np.abs(found - right.reshape(found.shape)).max() < 1e-7, name
+
+
+def test_benchmark_of_work_and_precision_runs(run, tmp_path):
+    """Toy sizes: errors fall with the mesh, a membrane's down to that of its model."""
+    done = run("-m", "demos.benchmarks.work_precision", "--small", cwd=tmp_path, timeout=120)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 14 and all(row["converged"] and row["seconds"] > 0 for row in rows)
+    curves = {(row["comparison"], row["curve"]): [] for row in rows}
+    for row in rows:
+        curves[row["comparison"], row["curve"]].append(row["error"])
+    assert all(fine < 0.6 * coarse for coarse, fine in curves.values())
+    # Closed forms: 1e-4 by a body of revolution, the membrane stays at 0.105 % (thickness 1/10).
+    assert curves["balloon", "axisymmetric, Q2-Q1"][1] < 1e-4
+    assert 1e-3 < curves["balloon", "membrane, P2"][1] < 2e-3
+    # One point or four: the same error with linear elements.
+    rules = [curves["quadrature, neo-Hookean", f"P1, {d}"] for d in ("2k - 1", "2k")]
+    assert rules[0] == pytest.approx(rules[1], rel=0.02)
+    for name in ("work_precision.csv", "work_precision.png", "work_precision_quadrature.svg"):
+        assert (tmp_path / "results" / name).stat().st_size > 1000
