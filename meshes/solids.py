@@ -217,7 +217,10 @@ def _mesh(
         shape()
         gmsh.model.occ.synchronize()
         set_size(h)
-        generate(3, order)
+        try:
+            generate(3, order)
+        except Exception as failure:  # gmsh's own, of no other kind
+            raise ValueError(_too_large(source, h, f"gmsh: {failure}")) from failure
         surfaces: dict[str, list[int]] = {name: [] for name in names}
         x0, y0, z0, x1, y1, z1 = gmsh.model.getBoundingBox(-1, -1)
         size = max(x1 - x0, y1 - y0, z1 - z0)
@@ -227,10 +230,16 @@ def _mesh(
             off = {name: np.median(np.abs(level(nodes))) for name, level in names.items()}
             nearest = min(off, key=lambda name: off[name])
             if off[nearest] > 1e-6 * size:
-                raise RuntimeError(
-                    f"{source}: gmsh's surface {surface} is {off[nearest]:.1e} off '{nearest}'."
-                )
+                found = f"half the nodes of a surface are {off[nearest]:.1e} off '{nearest}'"
+                raise ValueError(_too_large(source, h, found))
             surfaces[nearest].append(surface)
         name_entities(2, surfaces)
         name_entities(3, {"body": [volume for _, volume in gmsh.model.getEntities(3)]})
         return extract(source, 3)
+
+
+def _too_large(source: str, h: float, found: str) -> str:
+    return (
+        f"{source}: no mesh of its curved surfaces with cells of {h:g} ({found}): take a smaller "
+        "h, of a few thicknesses of the wall at most."
+    )

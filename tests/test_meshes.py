@@ -206,6 +206,16 @@ def test_areas_of_a_tube() -> None:
     assert integral(x[0], half.ds("cut")) == pytest.approx(-1, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("inner", "order", "found"), [(0.95, 2, "off 'inner'"), (0.999, 1, "gmsh: ")]
+)
+def test_cells_too_large_for_a_thin_wall(inner, order, found):
+    """Curved cells much longer than a wall is thick would be straight, or cross: one sentence."""
+    message = rf"sphere_octant: no mesh of its curved surfaces with cells of 0.6 \(.*{found}.*h, of a"
+    with pytest.raises(ValueError, match=message):
+        meshes.sphere_octant(COMM, inner, 1.05 if order == 2 else 1.0, h=0.6, order=order)
+
+
 def test_ellipsoid_is_the_benchmarks() -> None:
     """Volume of the wall, area of the base and of both spheroids below z = 5, by quadrature."""
 

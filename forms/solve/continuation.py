@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import ufl
@@ -23,6 +23,9 @@ from .progress import bar_of
 from .stability import instability
 
 EASY = 5  # Newton iterations up to which the next load step grows
+REMEMBERED = 3  # states that the next one is extrapolated from
+# Distance of the parabola from the line, over the step, from which on the path is no smooth curve.
+BENT = 0.5
 
 
 def solve(
@@ -162,21 +165,20 @@ def follow(
     newton = Newton(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
     bar = bar_of("load", 1.0, problem.comm, progress)
-    before, reached = u.x.array.copy(), float(t.value)
-    earlier: tuple[np.ndarray, float] | None = None
+    past, reached = [_State(u.x.array.copy(), walk.done)], float(t.value)
 
     def save(now: bool) -> None:
         path.seconds = time.perf_counter() - start
-        if archive is not None and earlier is not None:
-            control = {**vars(walk), "length": earlier[1], "newton": newton.memory()}
+        if archive is not None and path.steps:
+            control = {**vars(walk), "places": [s.done for s in past], "newton": newton.memory()}
             counts = {"refused": path.refused, "seconds": path.seconds}
-            if archive.write((before, earlier[0]), path.steps, {**control, **counts}, now):
+            states = [s.values for s in past]
+            if archive.write(states, path.steps, {**control, **counts}, now):
                 newton.renew()  # as the run that goes on from this checkpoint has to
 
     try:
         if archive is not None and (saved := archive.read()) is not None:
-            earlier = _resume(saved, path, walk, newton, t)
-            before, reached = u.x.array.copy(), float(t.value)
+            past, reached = _resume(saved, path, walk, newton, t), float(t.value)
             start -= path.seconds
             bar.update(walk.fraction)
             if problem.comm.rank == 0:
@@ -184,12 +186,11 @@ def follow(
                 bar.write(resumed, sys.stderr)
         while not walk.finished:
             t.value = walk.aim()
-            if earlier is not None:
-                _extrapolate(problem, earlier[0], walk.ahead / earlier[1])
+            _extrapolate(problem, past, walk.done + walk.ahead)
             outcome = _attempt(newton)
             if outcome.converged:
-                earlier = (before, walk.ahead)
-                before, reached = u.x.array.copy(), float(t.value)
+                reached = float(t.value)
+                past = [_State(u.x.array.copy(), walk.done + walk.ahead), *past][:REMEMBERED]
                 path.steps.append(Step(reached, outcome, recorded(record, problem)))
                 walk.advance(outcome.iterations)
                 bar.update(walk.fraction - bar.n)
@@ -199,7 +200,7 @@ def follow(
                 save(now=walk.finished)
                 continue
             path.refused += 1
-            u.x.array[:] = before
+            u.x.array[:] = past[0].values
             t.value = reached
             if not walk.halve():
                 save(now=True)
@@ -212,7 +213,7 @@ def follow(
             bar.set_postfix_str(f"step halved to {walk.ahead:.3g} ({outcome.reason})")
     finally:
         # Whatever ended the path, Ctrl-C included: the last converged state is left behind.
-        u.x.array[:] = before
+        u.x.array[:] = past[0].values
         t.value = reached
         for support in problem.supports:
             support.update()
@@ -297,6 +298,13 @@ class _Walk:
         self.done, self.ahead = saved["done"], min(max(saved["ahead"], self.least), self.most)
 
 
+class _State(NamedTuple):
+    """Values of the unknown, ghosts included, and how far along the way they belong."""
+
+    values: np.ndarray
+    done: float
+
+
 def _attempt(newton: Newton) -> Convergence:
     """One Newton solve at the present load, boundary values carried along first."""
     _predict(newton)
@@ -309,10 +317,8 @@ def _predict(newton: Newton) -> None:
     newton.predict()
 
 
-def _resume(
-    saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Constant
-) -> tuple[np.ndarray, float]:
-    """Take a path up where a checkpoint holds it; the state before, and the step from there."""
+def _resume(saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Constant) -> list[_State]:
+    """Take a path up where a checkpoint holds it; its last states."""
     first = replace(walk).aim()
     walk.resume(saved.control)
     if not walk.finished:
@@ -324,15 +330,39 @@ def _resume(
     path.steps += [Step(*step) for step in saved.steps]
     path.refused, path.seconds = saved.control["refused"], saved.control["seconds"]
     path.resumed = path.load
-    path.u.x.array[:], before = saved.states
+    path.u.x.array[:] = saved.states[0]
     t.value = path.load
-    return before, saved.control["length"]
+    return [_State(*s) for s in zip(saved.states, saved.control["places"], strict=True)]
 
 
-def _extrapolate(problem: System, earlier: np.ndarray, ratio: float) -> None:
-    """Move u on along the line through the last two states, if the energy stays finite there."""
-    u = problem.u.x.array
-    last = u.copy()
-    u += ratio * (last - earlier)
-    if problem.has_energy and not np.isfinite(problem.energy()):
-        u[:] = last
+def _extrapolate(problem: System, past: Sequence[_State], to: float) -> None:
+    """Move u on along the curve through the last states, if the energy stays finite there.
+
+    Along the parabola through three of them where it bends little, else along the line through two.
+    """
+    u, last = problem.u.x.array, past[0].values
+    guesses = [_through(past[:count], to) for count in range(2, len(past) + 1)]
+    if len(guesses) == 2:
+        line, curve = guesses
+        dofmap = problem.u.function_space.dofmap
+        owned = slice(dofmap.index_map.size_local * dofmap.bs)
+        squares = [float(d @ d) for d in ((curve - line)[owned], (line - last)[owned])]
+        bend, way = problem.comm.allreduce(np.array(squares))
+        if bend > BENT**2 * way:
+            guesses.pop()
+    for guess in reversed(guesses):
+        u[:] = guess
+        if not problem.has_energy or np.isfinite(problem.energy()):
+            return
+    u[:] = last
+
+
+def _through(states: Sequence[_State], to: float) -> np.ndarray:
+    """Value at a place of the polynomial through states (Lagrange)."""
+    places = [s.done for s in states]
+    result = np.zeros_like(states[0].values)
+    for state in states:
+        others = [place for place in places if place != state.done]
+        weight = np.prod([(to - place) / (state.done - place) for place in others])
+        result += weight * state.values
+    return result
