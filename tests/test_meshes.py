@@ -211,7 +211,9 @@ def test_areas_of_a_tube() -> None:
 )
 def test_cells_too_large_for_a_thin_wall(inner, order, found):
     """Curved cells much longer than a wall is thick would be straight, or cross: one sentence."""
-    message = rf"sphere_octant: no mesh of its curved surfaces with cells of 0.6 \(.*{found}.*h, of a"
+    message = (
+        rf"sphere_octant: no mesh of its curved surfaces with cells of 0.6 \(.*{found}.*h, of a"
+    )
     with pytest.raises(ValueError, match=message):
         meshes.sphere_octant(COMM, inner, 1.05 if order == 2 else 1.0, h=0.6, order=order)
 

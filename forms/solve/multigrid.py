@@ -49,6 +49,7 @@ class Kept:
 
     Attributes:
         used: Whether there is anything to keep.
+        due: Whether it is built anew at the next tangent.
         stale: Whether the last solve used a preconditioner of an earlier state.
         slow: Whether a factorization would be faster.
         goal: Norm of the forces [N] at which Newton's method is to end; 0 where unknown.
@@ -73,7 +74,7 @@ class Kept:
             self._levels = OrderMultigrid(V, system.constrained, ksp, prefix)
         elif kind == "python":
             self._blocks = FieldSplit(system, ksp, prefix)
-        self._ksp, self.stale, self._due, self._first = ksp, False, True, 0.0
+        self._ksp, self.stale, self.due, self._first = ksp, False, True, 0.0
         self.slow, self._small = False, system.size <= FACTORIZED_UP_TO
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
@@ -97,19 +98,19 @@ class Kept:
 
     def renew(self) -> None:
         """Build anew at the next tangent."""
-        self._due = True
+        self.due = True
 
     def prepare(self, A: PETSc.Mat) -> None:
-        """Build, or keep, the preconditioner for a tangent just assembled. Collective."""
+        """Build the preconditioner for a tangent just assembled, or keep it. Collective."""
         if not self.used:
             return
-        if self._due and self._levels is not None:
+        if self.due and self._levels is not None:
             self._levels.update(A)
         if self._blocks is not None:
-            self._blocks.update(A, coarse=self._due)
-        if self._due:
+            self._blocks.update(A, coarse=self.due)
+        if self.due:
             self._first = 0.0
-        self.stale, self._due = not self._due, False
+        self.stale, self.due = not self.due, False
 
     def count(self) -> None:
         """Take note of the iterations of the linear solve that has just ended."""

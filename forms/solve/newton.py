@@ -14,6 +14,7 @@ import numpy as np
 
 from ..assembly import System
 from . import linear
+from .action import Action
 from .convergence import REASONS, Convergence
 from .damping import Damping
 from .multigrid import Kept
@@ -117,6 +118,10 @@ class Newton:
         }
         if "pc_type" in self._user:  # another preconditioner has no use for this one's options
             preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
+        own = "pc_type" not in self._user
+        # Where multigrid is kept, the tangent that it was built of is out of date on purpose.
+        matrix_free = own and preset.get("pc_type") == "mg"
+        self._action = Action(self.system, self.A) if matrix_free else None
         self._presets |= {*base, *preset}
         database = PETSc.Options()
         for key, value in {**base, **preset, **self._user}.items():
@@ -133,7 +138,6 @@ class Newton:
             self._full = self._create(self.snes.getKSP())
             database[self.prefix + "snes_linesearch_type"] = base["snes_linesearch_type"]
         self.snes.getKSP().setPostSolve(self._hold)
-        own = "pc_type" not in self._user
         ksp, presets = self.snes.getKSP(), preset if own else {}
         self._kept = Kept(self.system, ksp, presets, self.prefix, self._user)
 
@@ -141,7 +145,7 @@ class Newton:
         snes = PETSc.SNES().create(self.system.comm)
         snes.setOptionsPrefix(self.prefix)
         snes.setFunction(self._residual, self.b.duplicate())
-        snes.setJacobian(self._tangent, self.A)
+        snes.setJacobian(self._tangent, self._product, self.A)
         snes.setConvergenceTest(self._test)
         snes.setLineSearchPreCheck(self._downhill)
         if ksp is not None:
@@ -242,6 +246,7 @@ class Newton:
         if not self._kept.used:
             return False
         self._kept.destroy()
+        self._drop_action()
         for key in self._preset:
             PETSc.Options().delValue(self.prefix + key)
         for snes in (self.snes, self._by_residual, self._full):
@@ -258,6 +263,11 @@ class Newton:
             return False
         negative = self._negative(snes)
         return negative is not None and negative > RUINED * self.system.size
+
+    def _drop_action(self) -> None:
+        if self._action is not None:
+            self._action.destroy()
+            self._action = None
 
     def memory(self) -> dict[str, Any]:
         """What is kept from one load to the next: damping, and that multigrid failed."""
@@ -323,7 +333,7 @@ class Newton:
             else:
                 self._assemble_tangent()
             assembled = False
-            ksp.setOperators(self.A)
+            ksp.setOperators(self._product, self.A)
             ksp.solve(b, du)
             if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
                 self.x.axpy(1, du)
@@ -347,7 +357,18 @@ class Newton:
         self.scaled.residual(self.b)
         self._imbalance = self.b.norm()
 
+    @property
+    def _product(self) -> PETSc.Mat:
+        """What linear solvers multiply with."""
+        return self.A if self._action is None else self._action.matrix
+
     def _assemble_tangent(self) -> None:
+        if self._action is not None:
+            self._action.assembled = self._projecting or self._damping is not None
+            if not self._action.assembled and not self._kept.due:
+                self.system.update_dependents()
+                self._kept.prepare(self.A)
+                return
         self.scaled.tangent(self._projecting)
         if self._projecting and self._damping is None:
             self._damp()
@@ -376,6 +397,7 @@ class Newton:
         for key in self._presets | set(self._user):
             PETSc.Options().delValue(self.prefix + key)
         self._kept.destroy()
+        self._drop_action()
         if self._damping is not None:
             self._damping.destroy()
         vectors = (self.b, self.x, self._x_before, self.scaled)
