@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from demos.benchmarks import cluster
 from demos.benchmarks.peers.points import right_values, states
 from demos.benchmarks.peers.problem import block, quadratic, turned
 from demos.benchmarks.peers.ways import closed_form
@@ -155,3 +156,42 @@ def test_benchmark_of_work_and_precision_runs(run, tmp_path):
     assert rules[0] == pytest.approx(rules[1], rel=0.02)
     for name in ("work_precision.csv", "work_precision.png", "work_precision_quadrature.svg"):
         assert (tmp_path / "results" / name).stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_benchmark_of_scaling_runs(run, tmp_path):
+    """Toy size on 1 and 2 ranks: the cells are shared out, and the solve is the same."""
+    done = run("-m", "demos.benchmarks.scaling", "--small", cwd=tmp_path, timeout=300)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    kinds = [(row["what"], row["ranks"]) for row in rows if "what" in row]
+    expected = [("strong", 1), ("apart", 1), ("strong", 2), ("weak", 1), ("weak", 2), ("mesh", 1)]
+    assert kinds == expected
+    one, two = (row for row in rows if row["what"] == "strong")
+    assert one["dofs"] == two["dofs"] and one["stored"] == two["stored"]
+    assert abs(one["iterations"] - two["iterations"]) <= 2 and one["Newton"] == two["Newton"]
+    assert one["SpMV [B]"] == 0 and one["SpMV, messages"] == 0
+    # A cut has 9 x 9 nodes of 3 numbers; a product needs at least the half of them it does not own.
+    assert 12 * 81 <= two["SpMV [B]"] <= 2 * 24 * 81 and two["SpMV, messages"] == 1
+    assert 1 <= two["imbalance"] < 1.1
+    assert all(row["step, efficiency"] > 0 for row in rows if row["what"] != "mesh")
+    assert (tmp_path / "results" / "scaling.png").stat().st_size > 10_000
+
+
+def test_estimate_follows_its_formula():
+    """Ten times the cores: a tenth of the work each; all waiting where there is no work."""
+    seconds = {"residual [s]": 0.04, "tangent [s]": 0.2, "SpMV [s]": 0.015, "V-cycle [s]": 0.09}
+    seconds |= {"set-up [s]": 3.0, "solve [s]": 1.6, "step [s]": 10.0}
+    names = "SpMV", "V-cycle", "set-up"
+    pieces = {f"{p}, {k}": 10.0 for p in names for k in ("messages", "reductions")}
+    row = {"what": "strong", "element": "P1", "m": 23, "dofs": 200_000, "stored": 8_000_000}
+    row |= {"coarsest": 12, "levels": 6, "iterations": 14, "linear": 42, "SpMV [B]": 14_000.0}
+    row |= {"memory before [MB]": 160, "memory [MB]": 560, **seconds, **pieces}
+    made = {"what": "mesh", "cells": 1e6, "memory before [MB]": 100, "memory [MB]": 1100}
+    rows = [row | {"ranks": 1}, row | {"ranks": 2, "dofs": 400_000}]
+    e = cluster.Estimate([*rows, made | {"checkpoint [B]": 2e8}])
+    few, many = e.times(100), e.times(1000)
+    assert few["assembly"] == pytest.approx(10 * many["assembly"], rel=1e-2)
+    assert few["waiting"] < many["waiting"] < e.times(1e6)["waiting"] < 1
+    assert e.times(e.half())["waiting"] == pytest.approx(0.5, abs=0.02)
+    assert e.halo(3e6) == pytest.approx(100 * e.halo(3e3))
+    assert dict(e.limits())["numbers of rows, in PETSc's integers of 32 bits"] == 2**31 - 1

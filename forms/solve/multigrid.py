@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from petsc4py import PETSc
@@ -95,6 +96,9 @@ class Kept:
         if self._own[1] and self.stale:
             most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
         ksp.setTolerances(rtol=self._asked, max_it=most)
+        if not self.stale:
+            with _faster_products(ksp):
+                ksp.setUp()
 
     def renew(self) -> None:
         """Build anew at the next tangent."""
@@ -129,6 +133,23 @@ class Kept:
             if item is not None:
                 item.destroy()
         self.used, self._levels, self._blocks = False, None, None
+
+
+@contextmanager
+def _faster_products(ksp: PETSc.KSP) -> Iterator[None]:
+    """Coarse operators by two products instead of PETSc's default, a third of the set-up less.
+
+    On one rank only, where PETSc has this way; it reads the option without a prefix.
+    """
+    options, name = PETSc.Options(), "matptap_via"
+    ours = ksp.comm.size == 1 and not options.hasName(name)
+    if ours:
+        options[name] = "rap"
+    try:
+        yield
+    finally:
+        if ours:
+            options.delValue(name)
 
 
 class OrderMultigrid:
