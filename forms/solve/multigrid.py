@@ -36,9 +36,10 @@ WEIGHT = "0.5"
 class Kept:
     """When a multigrid preconditioner is built, and how far its linear solves go.
 
-    It is built at the start of a path, and again when it slows down. The smoothers always see the
-    present tangent, and so do the blocks of a mixed unknown; what is kept are the coarser
-    operators. Newton's directions are solved for to the preset's tolerance, the last one as far as
+    It is built at the start of a path, and again when it slows down. What is kept are the coarser
+    operators, and where no tangent is assembled (:class:`forms.solve.action.Action`) the smoother
+    too; else smoothers, and the blocks of a mixed unknown, see the present tangent. Newton's
+    directions are solved for to the preset's tolerance, the last one as far as
     it takes to get below the goal.
 
     Args:
