@@ -53,8 +53,8 @@ class Checkpoint:
     as lists. Where a checkpoint cannot be written (a full disk), the run warns once and goes on.
 
     Args:
-        folder: Folder for this path alone, made where it is missing; holds two checkpoints of up
-            to three states each. Only rank 0 reads and writes it, and has these states in its memory.
+        folder: Folder for this path alone, made where it is missing; holds two checkpoints of
+            three states each. Only rank 0 reads and writes it, and has these states in its memory.
         every: Load steps between checkpoints.
         resume: Whether to go on from a checkpoint in the folder. If not, the first new one replaces
             those of earlier runs.
