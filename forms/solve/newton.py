@@ -88,6 +88,7 @@ class Newton:
             system.prepare_projection()
         self.projection, self._projecting = projection, False
         self._known: tuple[np.ndarray, float] | None = None
+        self._ruined = False
         self._damping: Damping | None = None
         self._left_multigrid = False
         self.system, self.ctol, self.prefix = system, ctol, prefix
@@ -173,12 +174,15 @@ class Newton:
             return Convergence(False, self._undefined(), -1, 0, 0, 0, np.inf, 0.0, np.inf)
         self._solved = True
         objective = system.minimization
-        self._projecting = self.projection == "always"
-        self._near, self._stepping = NEAR, False
+        self._projecting = self.projection == "always" or (self._ruined and self._may_project())
+        self._near, self._stepping, self._ruined = NEAR, False, False
         start = self.x.copy()
         outcome = self._run(objective)
         while True:
             code = outcome.code
+            if self._ruined:
+                start.copy(self.x)
+                self._ruined = False
             if code == -5 and "snes_max_it" in self._user:
                 break
             if code == -3 and not self._kept.used:
@@ -257,11 +261,12 @@ class Newton:
         self._build(self._preset)
         return True
 
-    def _is_ruined(self, snes: PETSc.SNES) -> bool:
-        """Whether so much of the tangent is negative that descent along it would only creep."""
-        if not self._energetic or self._projecting or self.projection != "auto":
+    def _is_ruined(self) -> bool:
+        """Whether so much of the last tangent is negative that its step leads nowhere."""
+        full = not self._projecting and (self._damping is None or self._damping.strength <= LIGHT)
+        if self.projection != "auto" or not (full and self.system.minimization):
             return False
-        negative = self._negative(snes)
+        negative = inertia(self.snes.getKSP(), self.system)
         return negative is not None and negative > RUINED * self.system.size
 
     def _drop_action(self) -> None:
@@ -336,7 +341,9 @@ class Newton:
             ksp.setOperators(self._product, self.A)
             ksp.solve(b, du)
             if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
-                self.x.axpy(1, du)
+                self._ruined = self._is_ruined()
+                if not self._ruined:
+                    self.x.axpy(1, du)
                 break
             if self._kept.stale:
                 self._kept.renew()
@@ -536,6 +543,7 @@ class Newton:
             return NEAR_CODE
         if self._kept.slow:
             return -3
-        if iteration == 1 and self._is_ruined(snes):
+        if iteration == 1 and self._energetic and self._is_ruined():
+            self._ruined = True
             return -6
         return -5 if iteration >= snes.getTolerances()[3] else 0
