@@ -688,7 +688,8 @@ pids = comm.gather(os.getpid())
 
 def on_step(path):
     if pids and (path.resumed is None or path.load > path.resumed):
-        print(*pids, path.load, flush=True)
+        # In one piece: a kill between two writes would leave half a line.
+        print(" ".join(map(str, [*pids, path.load])), flush=True)
 
 checkpoint = None if folder == "none" else forms.Checkpoint(folder)
 path = forms.follow(psi, u, supports, t, to=to, step=1e-4, min_step=1e-6, max_step=1e-4,
