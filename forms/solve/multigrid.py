@@ -29,6 +29,7 @@ PATIENCE = 4
 # The last linear solve aims this much below the goal, if so many digits are enough for it.
 BELOW, DIGITS = 0.3, 4
 LOOSEST = 0.1
+TWO_PRODUCTS_UP_TO = 20_000
 # Of the smoother beside the coarse correction: between 1/3 and 1 it changes little.
 WEIGHT = "0.5"
 
@@ -77,6 +78,7 @@ class Kept:
         elif kind == "python":
             self._blocks = FieldSplit(system, ksp, prefix)
         self._ksp, self.stale, self.due, self._first = ksp, False, True, 0.0
+        self._system = system
         self.slow, self._small = False, system.size <= FACTORIZED_UP_TO
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
@@ -98,7 +100,7 @@ class Kept:
             most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
         ksp.setTolerances(rtol=self._asked, max_it=most)
         if not self.stale:
-            with _faster_products(ksp):
+            with _faster_products(ksp, self._system):
                 ksp.setUp()
 
     def renew(self) -> None:
@@ -137,13 +139,15 @@ class Kept:
 
 
 @contextmanager
-def _faster_products(ksp: PETSc.KSP) -> Iterator[None]:
+def _faster_products(ksp: PETSc.KSP, system: System) -> Iterator[None]:
     """Coarse operators by two products instead of PETSc's default, a third of the set-up less.
 
-    On one rank only, where PETSc has this way; it reads the option without a prefix.
+    On one rank, where PETSc has this way, and where its memory does not matter; PETSc reads the
+    option without a prefix.
     """
     options, name = PETSc.Options(), "matptap_via"
-    ours = ksp.comm.size == 1 and not options.hasName(name)
+    small = ksp.comm.size == 1 and system.size <= TWO_PRODUCTS_UP_TO
+    ours = small and not options.hasName(name)
     if ours:
         options[name] = "rap"
     try:
