@@ -25,7 +25,7 @@ from .stability import instability
 EASY = 5  # Newton iterations up to which the next load step grows
 REMEMBERED = 3  # states that the next one is extrapolated from
 # Distance of the parabola from the line, over the step, from which on the path is no smooth curve.
-BENT = 0.5
+BENT = 0.25
 
 
 def solve(
