@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from ..assembly import System
+from ..operators.chain import dependents
 from . import linear
 from .action import Action
 from .convergence import REASONS, Convergence
@@ -120,8 +121,10 @@ class Newton:
         if "pc_type" in self._user:  # another preconditioner has no use for this one's options
             preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
         own = "pc_type" not in self._user
-        # Where multigrid is kept, the tangent that it was built of is out of date on purpose.
+        # Where multigrid is kept, the tangent that it was built of is out of date on purpose. Energies
+        # in singular values would find these anew at each product.
         matrix_free = own and preset.get("pc_type") == "mg"
+        matrix_free &= not dependents(self.system._tangent_form)
         self._action = Action(self.system, self.A) if matrix_free else None
         self._presets |= {*base, *preset}
         database = PETSc.Options()
