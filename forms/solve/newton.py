@@ -121,8 +121,8 @@ class Newton:
         if "pc_type" in self._user:  # another preconditioner has no use for this one's options
             preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
         own = "pc_type" not in self._user
-        # Where multigrid is kept, the tangent that it was built of is out of date on purpose. Energies
-        # in singular values would find these anew at each product.
+        # Where multigrid is kept, the tangent that it was built of is out of date on purpose. An
+        # energy in singular values would find these anew at each product.
         matrix_free = own and preset.get("pc_type") == "mg"
         matrix_free &= not dependents(self.system._tangent_form)
         self._action = Action(self.system, self.A) if matrix_free else None
