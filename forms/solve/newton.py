@@ -67,7 +67,8 @@ class Newton:
         ctol: Tolerance of the last correction, relative to the model's size.
         projection: When to make the tangent positive semi-definite (:meth:`System.tangent`), so
             that its direction lowers the energy from any state: "auto", after the search along the
-            full tangent's has failed; "always", from the start; "never". Near the solution the full
+            full tangent's has failed, or at once where MUMPS counts more than a twentieth of its
+            eigenvalues negative; "always", from the start; "never". Near the solution the full
             tangent is used again, so that convergence is quadratic.
 
     Raises:
