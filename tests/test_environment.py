@@ -192,6 +192,21 @@ def test_shellcheck_finds_nothing(script):
     assert answer.returncode == 0, answer.stdout
 
 
+def test_compose_runs_what_there_is():
+    """Every service runs the image, and in it a module of this repository or a notebook server."""
+    yaml = pytest.importorskip("yaml")
+    services = yaml.safe_load((DOCKER / "compose.yml").read_text())["services"]
+    tag = re.search(r"^tag=(\w+)$", (DOCKER / "image").read_text(), re.MULTILINE)[1]
+    assert {"demo", "mpi", "gallery", "notebook"} == set(services)
+    for name, service in services.items():
+        assert service["image"] == tag and service["init"]
+        modules = re.findall(r"python3 -m ([\w.]+)", service["command"])
+        assert modules or service["command"].startswith("jupyter notebook"), name
+        for module in modules:
+            place = REPOSITORY / module.replace(".", "/")
+            assert place.with_suffix(".py").exists() or (place / "__main__.py").exists(), module
+
+
 @pytest.mark.parametrize("file", ["docker/enter", "docker/Dockerfile"])
 def test_packages_are_listed_once(file):
     """The scripts read packages.txt, and name no Python package themselves."""
@@ -240,6 +255,12 @@ def refusal(*command: str, **variables: object) -> str:
 def test_refuses_an_unknown_way():
     assert refusal("true", ENTER="podman") == (
         "enter: ENTER=podman is no way in: use native, apt, root or docker, or unset ENTER"
+    )
+
+
+def test_refuses_another_suite_anywhere_but_in_a_private_debian():
+    assert refusal("true", ENTER="native", ENTER_SUITE="sid") == (
+        "enter: ENTER_SUITE=sid is a private Debian only: unset ENTER"
     )
 
 
@@ -384,6 +405,23 @@ def test_another_list_makes_another_root_beside_the_first(builder, tmp_path):
         packages.write_text(text)
         assert enter("true", script=clone / "docker/enter", **builder).returncode == 0
     assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
+
+
+def test_another_suite_makes_a_root_of_its_own(builder, tmp_path):
+    """ENTER_SUITE reaches mmdebstrap, its root stands beside the other, lacks are named."""
+    script = MAKE_TINY_ROOT + 'echo "suite: $*" >>"$RUNS"\necho "left out: newest"\n'
+    builder["PATH"] = commands(tmp_path / "bin", mmdebstrap=script)
+    assert enter("true", **builder).returncode == 0
+    answer = enter("true", **builder, ENTER_SUITE="sid")
+    assert answer.returncode == 0
+    assert "making a private Debian sid in" in answer.stderr
+    assert answer.stderr.endswith(
+        "enter: Debian sid cannot install now, and goes without: newest\n"
+    )
+    first, second = re.findall(r"suite: .*", builder["RUNS"].read_text().replace("\n ", " "))
+    assert " trixie /" in first and " sid /" in second
+    assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
+    assert enter("printf", "here", **builder, ENTER_SUITE="sid").stderr == ""
 
 
 def test_two_at_once_build_once(builder):
