@@ -33,7 +33,8 @@ body = meshes.block(comm, (1.0, 0.2, 0.2), h=0.07)
 t = forms.load_factor(body)
 u = forms.displacement(body, degree=2)
 F = forms.deformation_gradient(u)
-psi = forms.energies.neo_hookean(F, mu=1.0, lmbda=10.0)
+mu, lmbda = 1.0, 10.0  # Pa
+psi = forms.energies.neo_hookean(F, mu, lmbda)
 fixed = forms.clamp(u, body.facets("left"))
 twist = forms.rotate(u, body.facets("right"), angle=t, axis=(1, 0, 0))
 
@@ -75,7 +76,7 @@ forms.picture(path, folder / "twist.png", von_mises, "von Mises\nstress [Pa]")
 
 # %%
 small = path.steps[0]
-saint_venant = 1.0 * 0.1406 * 0.2**4 * small.load / 1.0
+saint_venant = mu * 0.1406 * 0.2**4 * small.load / 1.0
 ratio = small.records["moment"] / saint_venant
 say(f"moment over Saint-Venant's at {np.degrees(small.load):.0f} degrees: {ratio:.3f}")
 say(f"moment after one turn: {path.record('moment')[-1]:.4e} N m")
