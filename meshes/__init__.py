@@ -3,6 +3,7 @@
 
 from .blocks import block, cook
 from .body import Body
+from .fibers import ellipsoid_depth, ellipsoid_fiber_field, ellipsoid_fibers
 from .files import read
 from .sheets import cylindrical_sheet, disk, pillow, spherical_sheet, square
 from .solids import cylinder, ellipsoid, sphere_octant
@@ -13,6 +14,9 @@ __all__ = [
     "cylinder",
     "sphere_octant",
     "ellipsoid",
+    "ellipsoid_depth",
+    "ellipsoid_fibers",
+    "ellipsoid_fiber_field",
     "square",
     "disk",
     "spherical_sheet",

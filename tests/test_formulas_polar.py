@@ -142,7 +142,9 @@ def exact_decomposition(G, U, V, sign):
     return mp.matrix([*mp.matrix(u).T.tolist(), s, *mp.matrix(v).T.tolist()])
 
 
-@pytest.mark.parametrize(("state", "group"), itertools.product(["generic", "inverted"], GROUPS))
+@pytest.mark.parametrize(
+    ("state", "group"), list(itertools.product(["generic", "inverted"], GROUPS))
+)
 def test_rates_of_the_singular_value_decomposition(state, group, rng):
     """ds, dU, dV are those of 80 digits; step 3 returns dG and both its factors are skew."""
     G, dG = activated(state), rng.normal(size=(2, 3, 3))

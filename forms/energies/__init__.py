@@ -2,6 +2,7 @@
 """Energy densities: functions of a 3x3 deformation gradient that return psi [J/m^3]."""
 
 from .activated import activated
+from .active import active_tension
 from .isotropic import (
     isochoric_neo_hookean,
     isotropic,
@@ -48,6 +49,7 @@ from .transversely_isotropic import (
 
 __all__ = [
     "activated",
+    "active_tension",
     "as_rigid_as_possible",
     "bulk_modulus",
     "corotated_linear",

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Nine notebooks, and the builder that executes them."""

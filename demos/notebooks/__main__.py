@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Build the notebooks: each NN_idea.py is executed and written as NN_idea.ipynb beside it.
+
+docker/enter python3 -m demos.notebooks            # all
+docker/enter python3 -m demos.notebooks 03 07      # those whose names begin so
+docker/enter python3 -m demos.notebooks --check    # execute, write nothing
+
+After the notebook's own cells its solutions are executed in the same kernel, and then left out.
+A notebook is written only if no cell raised, nothing went to stderr, and it is small enough.
+"""
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jupytext
+import nbformat
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+
+HERE = Path(__file__).resolve().parent
+LIMIT = 600_000  # bytes of an executed notebook
+WIDGET = "application/vnd.jupyter.widget-view+json"
+
+
+def read(source):
+    """Notebook without outputs of a percent script; the license line before the cells is left out.
+
+    Metadata and cell ids are the same from run to run.
+    """
+    text = source.read_text()
+    notebook = jupytext.reads(text[text.index("# %%") :], fmt="py:percent")
+    cells = [{**cell, "id": f"cell-{n}"} for n, cell in enumerate(notebook.cells, 1)]
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
+    return nbformat.from_dict(
+        {"nbformat": 4, "nbformat_minor": 5, "metadata": metadata, "cells": cells}
+    )
+
+
+def solutions(notebook):
+    """The python blocks inside <details>, as code cells."""
+    text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    hidden = "\n".join(re.findall(r"<details>.*?</details>", text, re.DOTALL))
+    return [
+        nbformat.v4.new_code_cell(block)
+        for block in re.findall(r"^```python\n(.*?)^```$", hidden, re.DOTALL | re.MULTILINE)
+    ]
+
+
+def execute(notebook):
+    """Run all cells in place, in an empty folder; raises where one of them does."""
+    with tempfile.TemporaryDirectory() as folder:
+        client = NotebookClient(
+            notebook,
+            timeout=600,
+            startup_timeout=300,
+            record_timing=False,
+            resources={"metadata": {"path": folder}},
+        )
+        client.execute()
+
+
+def settled(outputs):
+    """Outputs that do not depend on the run: pieces of stdout joined, sliders left out.
+
+    A slider's output names an object in the kernel that is gone.
+    """
+    kept = []
+    for output in outputs:
+        if WIDGET in output.get("data", {}):
+            continue
+        names = [one.get("name") for one in (*kept[-1:], output)]
+        if names == ["stdout", "stdout"]:
+            kept[-1].text += output.text
+        else:
+            kept.append(output)
+    return kept
+
+
+def build(source):
+    """Executed notebook of a source as text, and what is wrong with it."""
+    notebook = read(source)
+    own, metadata = list(notebook.cells), dict(notebook.metadata)
+    notebook.cells = own + solutions(notebook)
+    try:
+        execute(notebook)
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+        return "", re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    streams = [
+        output
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if output.get("name") == "stderr"
+    ]
+    if streams:
+        return "", f"these words went to stderr: {streams[0].text}"
+    notebook.cells, notebook.metadata = own, nbformat.from_dict(metadata)
+    for cell in own:
+        cell.metadata.clear()  # jupytext's and nbclient's
+        if cell.cell_type == "code":
+            cell.outputs = settled(cell.outputs)
+    nbformat.validate(notebook)
+    text = nbformat.writes(notebook) + "\n"
+    size = len(text.encode())
+    return text, f"{size} bytes, more than {LIMIT}" if size > LIMIT else ""
+
+
+def main():
+    """Build the chosen notebooks; exit code 1 if one of them failed."""
+    parser = argparse.ArgumentParser(prog="python3 -m demos.notebooks", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("prefix", nargs="*", help="how the names begin, such as 03 (default: all)")
+    parser.add_argument("--check", action="store_true", help="execute only, write nothing")
+    arguments = parser.parse_args()
+    prefixes = tuple(arguments.prefix) or ("",)
+    sources = [f for f in sorted(HERE.glob("[0-9][0-9]_*.py")) if f.name.startswith(prefixes)]
+    if not sources:
+        parser.error(f"no notebook's name begins with {' or '.join(prefixes)}")
+    paths = (str(HERE.parent.parent), os.environ.get("PYTHONPATH"))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+    # A debugger's remark about frozen modules, which the kernel prints at its start.
+    os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
+    failed = False
+    for source in sources:
+        start = time.perf_counter()
+        text, fault = build(source)
+        seconds = f"{time.perf_counter() - start:6.1f} s"
+        if fault:
+            failed = True
+            print(f"{source.stem:40s} {seconds}  not written: {fault}", file=sys.stderr, flush=True)
+            continue
+        if not arguments.check:
+            source.with_suffix(".ipynb").write_text(text)
+        print(f"{source.stem:40s} {seconds} {len(text.encode()) / 1000:6.0f} kB", flush=True)
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()

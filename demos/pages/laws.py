@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: MIT
+"""The test files of tests/README.md: their laws, how many tests they hold, the digits recorded."""
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+
+from demos.benchmarks.record import markdown
+
+from .energies import ROOT
+
+# In the order of the package; a file that is not here comes last, with the first line of its
+# docstring for a law. Where this says more than that line, it is because a table has room for it.
+LAWS = {
+    "kinematics": "strains and line elements (1)-(5), invariants (13), (22); plane models; "
+    "P33 = 0 where condensed",
+    "energies": "rest, objectivity, symmetry, moduli of small strains, (18), (19), (23), domains",
+    "variation": "residual and tangent are derivatives, every energy in every kinematics; "
+    "(29), (32), (34), (52); (12), (27), (28)",
+    "point_kernels": "signed singular values; stress and tangent of ten energies against 110-digit "
+    "differences of the energy (reference.py); projection, clamp, inf and NaN; how many "
+    "evaluations and sweeps they cost",
+    "operators": "energies in singular values equal plain UFL in any form: cells, orders, facets, "
+    "regions, parameters, products, mixed unknowns, sheets; document 002; wrong input; the limits; "
+    "nothing beyond an array's bounds",
+    "projection": "projected tangents; ruined states return to rest; the last iterations are "
+    "quadratic",
+    "membranes": "areas, volumes and sides of surfaces; sheet energies as derivatives and in "
+    "several ways; a sphere under pressure",
+    "loads": "pressure is the derivative of p V; signs; tangents of follower loads",
+    "supports": "rigid motions at every node and load",
+    "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
+    "problems included",
+    "insertion": "tangents in PETSc's arrays, and products without a matrix, are DOLFINx's own "
+    "matrix: cells, orders, integrals, supports, ranks",
+    "quadrature": "which degree an integrand gets; one point is exact for P1; the order of "
+    "convergence stays",
+    "control": "a balloon past its limit point, a load found from a displacement",
+    "sheets": "tension fields against closed forms, bending of a stretched sheet, flat starts, "
+    "Hencky's disk, weight, enclosed gas, a balloon's stability",
+    "paths": "arch and frame against published paths, PETSc's arc length, Euler's column and the "
+    "elastica, pins",
+    "checkpoint": "a path taken up again is the uninterrupted one; kills at any moment, full "
+    "disks, wrong meshes",
+    "multigrid": "multigrid over the order and the field split find MUMPS's solution, at "
+    "iterations that hardly grow",
+    "failures": "failures and interrupts keep the last state; undefined states are refused; "
+    "options and tolerances; wrong arguments",
+    "results": "resultants balance; values at points; JSON, VTX and pictures read back",
+    "formulas_elasticity": "document 003, (1)-(28) in NumPy against complex steps and UFL; its "
+    "misprints measured",
+    "formulas_element": "hand-written elements, (29)-(60): R = T \u2212 F and K_c + K_sigma equal "
+    "the automatic residual and tangent on tet4, tet10, hex8, hex27",
+    "formulas_svd": "document 000: stress and dP/dF against 80-digit differences of psi(F); "
+    "quotients at all gaps",
+    "formulas_derivation": "document 000: the derivation in SymPy; blocks as derived, as printed, "
+    "as divided",
+    "formulas_membranes": "document 001: rates, invariants, sheet and eigensystems against "
+    "60-digit differences",
+    "formulas_polar": "document 002: R, dR, P, H against 80-digit differences, SO(3) and O(3)",
+    "formulas_properties": "documents 000 to 002 at any state: isotropy, symmetry, scaling, 2D "
+    "inside 3D",
+    "match": "the automatic side equals documents 000, 001 and 002; what the printed tangents of "
+    "003 cost Newton",
+    "table": "the tables of forms/formulas/README.md are complete and name what exists",
+    "parallel": "1, 2 and 3 ranks agree; errors reach all ranks",
+    "meshes": "volumes, areas, normals, names, files, bad files",
+    "fibers": "fibers of the ventricle against the parametrization that defines them; "
+    "active tension",
+    "demos": "every demo ends with its known number (demos/README.md)",
+    "validation": "the validation gallery: closed forms, fits, comparison of numbers, known cases",
+    "notebooks": "notebooks are their sources, executed; the solutions of their exercises run",
+    "benchmarks": "every benchmark at toy size; the block of the peers, the estimate's formula",
+    "environment": "docker/enter, its refusals, OpenBLAS, threads",
+    "pages": "tables, pictures, links, code and commands of every page follow from what is there",
+    "package": "wheel, versions, imports, the first screen of the README",
+}
+
+# Says what pytest would run, without running it.
+COLLECT = """
+import json, sys
+import pytest
+
+class Count:
+    def pytest_collection_finish(self, session):
+        found = {}
+        for item in session.items:
+            counts = found.setdefault(item.path.stem, [0, 0])
+            counts[0] += 1
+            counts[1] += item.get_closest_marker("slow") is not None
+        print("COUNTS" + json.dumps(found))
+
+words = ["--collect-only", "-q", "-q", "-m", "", "-p", "no:cacheprovider", "tests"]
+sys.exit(pytest.main(words, plugins=[Count()]))
+"""
+
+
+def counts():
+    """Numbers of all and of slow tests in each file, by pytest's collection in a new process.
+
+    Raises:
+        RuntimeError: a test file cannot be collected; pytest's words follow.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", COLLECT],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = re.search(r"COUNTS(\{.*\})", done.stdout)
+    if done.returncode or not found:
+        raise RuntimeError(f"pytest cannot collect the tests:\n{done.stdout}{done.stderr}")
+    return {stem.removeprefix("test_"): n for stem, n in json.loads(found[1]).items()}
+
+
+def recorded():
+    """Digits that a run has recorded for the tests of a file: forms/formulas/README.md has them."""
+    page = (ROOT / "forms" / "formulas" / "README.md").read_text()
+    part = page.partition("<!-- capabilities: ")[2].partition("<!-- end of capabilities")[0]
+    homes, alone, shared = {}, {}, {}
+    for pattern in ("test_formulas_*.py", "test_match.py"):
+        for file in (ROOT / "tests").glob(pattern):
+            for node in ast.parse(file.read_text()).body:
+                if isinstance(node, ast.FunctionDef):
+                    homes.setdefault(node.name, set()).add(file.stem.removeprefix("test_"))
+    for line in part.splitlines():
+        cells = line.strip("| ").split(" | ")
+        number = re.match(r"\d+", cells[-1])
+        if len(cells) != 7 or not number:
+            continue
+        tests = re.findall(r"`(test_\w+)`", cells[-2])
+        files = set().union(*(homes.get(test, set()) for test in tests))
+        for file in files:
+            (alone if len(files) == 1 else shared).setdefault(file, []).append(int(number[0]))
+    # A row has the digits of its worst test: where all its tests stand in one file, that file's.
+    return {file: (min(found), max(found)) for file, found in (shared | alone).items()}
+
+
+def law(name):
+    """Law of a test file: from LAWS, or the first line of its docstring."""
+    if name in LAWS:
+        return LAWS[name]
+    doc = ast.get_docstring(ast.parse((ROOT / "tests" / f"test_{name}.py").read_text())) or ""
+    return doc.split("\n")[0].rstrip(".")
+
+
+def lines():
+    """Lines of tests/README.md: file, law, number of tests, digits."""
+    numbers, digits, table = counts(), recorded(), []
+    for name in [*(n for n in LAWS if n in numbers), *sorted(set(numbers) - set(LAWS))]:
+        total, slow = numbers[name]
+        low, high = digits.get(name, ("", ""))
+        span = str(low) if low == high else f"{low} to {high}"
+        table.append([f"test_{name}", law(name), f"{total} ({slow} slow)" if slow else total, span])
+    total, slow = (sum(n) for n in zip(*numbers.values(), strict=True))
+    table.append(["together", "", f"{total} ({slow} slow)", ""])
+    return markdown(("File", "Law", "Tests", "Digits recorded"), table)
