@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Failures and options: the last converged state is kept, and every message says what to do."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import ufl
@@ -9,6 +11,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 import forms
+import meshes
 from forms.solve import linear as linear_presets
 from forms.solve.supported import free_motions
 
@@ -392,6 +395,23 @@ def test_a_failed_solve_names_the_missing_support():
     ):
         forms.solve(psi * ufl.dx + load, u, held)
     assert np.all(u.x.array == 0)
+
+
+@pytest.mark.parametrize("n", [2, 8])
+@pytest.mark.parametrize("energy", ["neo_hookean", "fixed_corotated"])
+def test_a_body_without_any_support_is_told_apart(energy, n):
+    """MUMPS fails and has to be started anew; the cause takes the place of other advice."""
+    body = meshes.block(MPI.COMM_WORLD, (1.0, 0.25, 0.25), n=(n, 2, 2))
+    u = forms.displacement(body)
+    psi = getattr(forms.energies, energy)(forms.deformation_gradient(u), mu=1.0, lmbda=4.0)
+    load = forms.body_force(u, ufl.as_vector([0.1, 0, 0]))
+    with pytest.raises(forms.NotConverged) as failed:
+        forms.solve(psi * ufl.dx + load, u, [])
+    message = str(failed.value)
+    assert (
+        "kept. Nothing holds the body against translation along x, translation along y" in message
+    )
+    assert message.count("projected tangent") <= 1 and "Reach the load" not in message
 
 
 def test_a_stable_mixed_state_has_no_negative_eigenvalue():

@@ -81,10 +81,11 @@ def solve(
         newton.destroy()
     path.seconds = time.perf_counter() - start
     if not converged:
+        advice = f"Reach the load in steps with forms.follow; -{prefix}snes_monitor shows each"
         raise failure(
             path,
-            f"{outcome.sentence()}. The old state is kept. Reach the load in steps with "
-            f"forms.follow; -{prefix}snes_monitor shows each iteration.",
+            f"{outcome.sentence()}. The old state is kept.",
+            f"{advice} iteration." if outcome.iterations else "",
         )
     path.steps.append(Step(load, outcome, recorded(record, problem)))
     path.completed = True
@@ -207,8 +208,8 @@ def follow(
                 raise failure(
                     path,
                     f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
-                    f"{2 * walk.ahead:.3g}. The last converged state is kept. Try a smaller "
-                    f"min_step; -{prefix}snes_monitor shows each iteration.",
+                    f"{2 * walk.ahead:.3g}. The last converged state is kept.",
+                    f"Try a smaller min_step; -{prefix}snes_monitor shows each iteration.",
                 )
             bar.set_postfix_str(f"step halved to {walk.ahead:.3g} ({outcome.reason})")
     finally:

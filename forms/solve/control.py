@@ -93,7 +93,8 @@ def control(
                     raise failure(
                         path,
                         f"{outcome.sentence()}, on the way to {target:.6g} from {reached:.6g}. The "
-                        "last converged state is kept. Give targets that lie closer.",
+                        "last converged state is kept.",
+                        "Give targets that lie closer.",
                     )
             notes = recorded(record, problem.system)
             path.steps.append(Step(load, outcome, {"target": target, **notes}))

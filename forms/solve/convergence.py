@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 USUAL = {"full tangent", "|R|"}
@@ -65,9 +66,10 @@ class Convergence:
         verb = "converged" if self.converged else "stopped"
         projected = f", {self.projected} of them projected" if self.projected else ""
         unusual = set(self.tried) - USUAL
-        ways = f" by way of {', '.join(self.tried)}" if unusual else ""
+        ways = f" by way of {', '.join(dict.fromkeys(self.tried))}" if unusual else ""
+        # There is no last correction where no iteration was made.
+        last = f", last correction {self.correction:.1e}" if isfinite(self.correction) else ""
         return (
             f"SNES {verb} after {self.iterations} iterations{projected}{ways} ({self.reason}), "
-            f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}, "
-            f"last correction {self.correction:.1e}"
+            f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}{last}"
         )

@@ -189,8 +189,6 @@ class Newton:
                 self._ruined = False
             if code == -5 and "snes_max_it" in self._user:
                 break
-            if code == -3 and not self._kept.used:
-                self.snes.getKSP().reset()  # MUMPS does not forget a failure
             if code == -3 and self._kept.slow and self._leave_multigrid():
                 pass
             elif code == -3 and self._kept.stale:
@@ -363,6 +361,13 @@ class Newton:
             damped = True
         du.destroy()
 
+    def _forget_failure(self) -> None:
+        """Start the linear solver anew after a failure, which MUMPS does not forget."""
+        ksp = self.snes.getKSP()
+        if ksp.getConvergedReason() < 0 and not self._kept.used:
+            ksp.reset()  # of multigrid it would take the levels
+            ksp.setOperators(self._product, self.A)
+
     def measure_imbalance(self) -> None:
         """Remember |R_free| before u moves: the part of a load increment that is a force."""
         self.scaled.residual(self.b)
@@ -431,6 +436,7 @@ class Newton:
         self.x.copy(self._x_before)
         self._correction = np.inf
         self._history: list[float] = []
+        self._forget_failure()
         snes.solve(None, self.x)
         self.scaled.put(self.x)
         code = snes.getConvergedReason()
@@ -514,8 +520,10 @@ class Newton:
         force = self.snes.getFunction()[0]
         while not force.dot(step) > 0 and self._damping.stiffen():
             self._assemble_tangent()
+            self._forget_failure()
             self.snes.getKSP().solve(force, step)
             changed = True
+        self._forget_failure()
         return changed
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:

@@ -82,16 +82,18 @@ def check_record(record: Mapping[str, Any] | None) -> None:
             )
 
 
-def failure(path: Path, sentence: str) -> NotConverged:
-    """Exception with the path so far; it names rigid motions that nothing holds. Collective.
+def failure(path: Path, sentence: str, advice: str = "") -> NotConverged:
+    """Exception with the path so far, and advice. Collective.
 
-    Called with the unknown at the last converged state.
+    Where rigid motions are left that nothing holds, they are the cause, and named in place of the
+    advice. Called with the unknown at the last converged state.
     """
     free = free_motions(path.system)
     if free:
-        sentence += (
-            f" Nothing holds the body against {', '.join(free)}: add a support, a pin or a spring."
+        advice = (
+            f"Nothing holds the body against {', '.join(free)}: add a support, a pin or a spring."
         )
+    sentence = f"{sentence} {advice}".rstrip()
     path.reason = sentence
     error = NotConverged(sentence)
     error.path = path

@@ -124,6 +124,8 @@ def instability(steps: Sequence[Any]) -> str:
         return ""
     most = max(negative for _, negative in counts if negative)
     word = "eigenvalue" if most == 1 else "eigenvalues"
+    if len(counts) == 1:
+        return f" Unstable: {most} negative {word}."
     return f" Unstable from load factor {unstable[0]:.6g} on ({most} negative {word} at most)."
 
 
