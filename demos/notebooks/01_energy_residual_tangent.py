@@ -303,7 +303,7 @@ assert abs(u.x.array - solution).max() < 1e-8
 # %% [markdown]
 # ## Exercises
 #
-# **1.** Document 003 has a second neo-Hookean energy in (21), with $\tfrac{\lambda}{2}(J - 1)^2$
+# **Exercise 1.** Document 003 has a second neo-Hookean energy in (21), with $\tfrac{\lambda}{2}(J - 1)^2$
 # instead of $\tfrac{\lambda}{2}(\ln J)^2$. Find its $P$ by hand, put it into the NumPy element, and
 # compare with the automatic residual of `forms.energies.neo_hookean_quadratic`.
 #
@@ -325,7 +325,7 @@ assert abs(u.x.array - solution).max() < 1e-8
 # </details>
 
 # %% [markdown]
-# **2.** Solve the bar with the tangent at rest, $K(0)$, in all iterations (the *modified* Newton
+# **Exercise 2.** Solve the bar with the tangent at rest, $K(0)$, in all iterations (the *modified* Newton
 # method). By which factor does $|R|$ fall per iteration? Predict it before you measure.
 #
 # <details><summary>Solution</summary>

@@ -309,7 +309,7 @@ plt.show()
 #
 # ## Exercises
 #
-# **1.** At rest, which of the six eigenvalues of $\psi_\text{sheet}$ are zero, and why must they
+# **Exercise 1.** At rest, which of the six eigenvalues of $\psi_\text{sheet}$ are zero, and why must they
 # be?
 #
 # <details><summary>Solution</summary>
@@ -324,7 +324,7 @@ plt.show()
 # </details>
 
 # %% [markdown]
-# **2.** The document prints the rank-one term of $\psi_\text{sheet}$'s Hessian as
+# **Exercise 2.** The document prints the rank-one term of $\psi_\text{sheet}$'s Hessian as
 # $6 I_3^{-4}\,\partial I_2/\partial F\otimes\partial I_2/\partial F$ in one line and with other
 # factors in the next. Derive the term by the chain rule and say which line is right.
 #
@@ -341,7 +341,7 @@ plt.show()
 # </details>
 
 # %% [markdown]
-# **3.** A Mooney-Rivlin balloon has $p = 2(1/l - 1/l^7)(1 + k l^2)$ (with $k = c_{01}/c_{10}$ and
+# **Exercise 3.** A Mooney-Rivlin balloon has $p = 2(1/l - 1/l^7)(1 + k l^2)$ (with $k = c_{01}/c_{10}$ and
 # $2 c_{10} = \mu$). From which $k$ on does the pressure have no peak any more?
 #
 # <details><summary>Solution</summary>
@@ -358,7 +358,7 @@ plt.show()
 # </details>
 
 # %% [markdown]
-# **4.** Let a gas do the work: prescribe $p V$ (constant temperature) instead of $V$. Does it pass
+# **Exercise 4.** Let a gas do the work: prescribe $p V$ (constant temperature) instead of $V$. Does it pass
 # the limit point?
 #
 # <details><summary>Solution</summary>

@@ -257,7 +257,7 @@ Image(stored.getvalue())
 #
 # ## Exercises
 #
-# **1.** How many unknowns would P1 need for the error that P3 has with 32 x 32 cells? Would they
+# **Exercise 1.** How many unknowns would P1 need for the error that P3 has with 32 x 32 cells? Would they
 # fit into 64 GB, if the tangent takes 150 bytes per unknown?
 #
 # <details><summary>Solution</summary>
@@ -273,7 +273,7 @@ Image(stored.getvalue())
 # </details>
 
 # %% [markdown]
-# **2.** The error of the displacement itself falls like $h^{k+1}$. Measure it for P2.
+# **Exercise 2.** The error of the displacement itself falls like $h^{k+1}$. Measure it for P2.
 #
 # <details><summary>Solution</summary>
 #
@@ -291,7 +291,7 @@ Image(stored.getvalue())
 # </details>
 
 # %% [markdown]
-# **3.** Look at the whole chart. Which curves end in a floor, and what is it that no mesh can mend?
+# **Exercise 3.** Look at the whole chart. Which curves end in a floor, and what is it that no mesh can mend?
 #
 # <details><summary>Solution</summary>
 #

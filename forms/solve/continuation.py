@@ -81,11 +81,11 @@ def solve(
         newton.destroy()
     path.seconds = time.perf_counter() - start
     if not converged:
-        advice = f"Reach the load in steps with forms.follow; -{prefix}snes_monitor shows each"
+        shown = f"; -{prefix}snes_monitor shows each iteration" if outcome.iterations else ""
         raise failure(
             path,
             f"{outcome.sentence()}. The old state is kept.",
-            f"{advice} iteration." if outcome.iterations else "",
+            f"Reach the load in steps with forms.follow{shown}.",
         )
     path.steps.append(Step(load, outcome, recorded(record, problem)))
     path.completed = True
