@@ -18,7 +18,7 @@ from conftest import ROOT
 
 import forms
 import meshes
-from demos.pages import bodies, energies
+from demos.pages import bodies, energies, responses
 from demos.pages.__main__ import PAGES
 
 OUTSIDE = ("results", "build", "dist")  # what runs write
@@ -112,7 +112,7 @@ def test_energies_are_defined_where_the_table_says(row, kind):
     }[row.domain]
     if kind == "fibers":
         psi = functools.partial(psi, a=energies.ALONG)
-    P = energies.Stress(psi, (3, 2) if kind == "sheets" else (3, 3))
+    P = responses.Stress(psi, (3, 2) if kind == "sheets" else (3, 3))
     shape = P.F.value.shape
     for last, finite in ((-0.8, mirrored), (0.0, flat)):
         F = np.zeros(shape)
@@ -142,19 +142,21 @@ def test_responses_are_the_closed_forms():
     P = E/2 (l^2 - 1) l. A sheet of it, both ways: P = E/(2 (1 - nu)) (l^2 - 1) l.
     """
     stretches = np.array([0.7, 1.0, 1.3])
-    P = energies.Stress(lambda F: forms.energies.isochoric_neo_hookean(F, 1.0))
+    P = responses.Stress(lambda F: forms.energies.isochoric_neo_hookean(F, 1.0))
     for given, power in ((1, -2), (2, -5)):
-        found = energies.response(P, stretches, given, "incompressible")
+        found = responses.response(P, stretches, given, "incompressible")
         np.testing.assert_allclose(found, stretches - stretches**power, atol=1e-9)
-    np.testing.assert_allclose(energies.shear(P, stretches, "incompressible"), stretches, rtol=1e-9)
-    E, nu, bent = energies.SHEET["E"], energies.NU, stretches * (stretches**2 - 1) / 2
-    P = energies.Stress(lambda F: forms.energies.saint_venant_kirchhoff(F, 1.0, energies.LMBDA))
     np.testing.assert_allclose(
-        energies.response(P, stretches, 1, "compressible"), E * bent, atol=1e-8
+        responses.shear(P, stretches, "incompressible"), stretches, rtol=1e-9
     )
-    P = energies.Stress(lambda F: forms.energies.saint_venant_kirchhoff_sheet(F, E, nu), (3, 2))
+    E, nu, bent = energies.SHEET["E"], energies.NU, stretches * (stretches**2 - 1) / 2
+    P = responses.Stress(lambda F: forms.energies.saint_venant_kirchhoff(F, 1.0, energies.LMBDA))
     np.testing.assert_allclose(
-        energies.response(P, stretches, 2, "sheets"), E / (1 - nu) * bent, atol=1e-9
+        responses.response(P, stretches, 1, "compressible"), E * bent, atol=1e-8
+    )
+    P = responses.Stress(lambda F: forms.energies.saint_venant_kirchhoff_sheet(F, E, nu), (3, 2))
+    np.testing.assert_allclose(
+        responses.response(P, stretches, 2, "sheets"), E / (1 - nu) * bent, atol=1e-9
     )
 
 
@@ -491,6 +493,6 @@ def test_the_energy_of_contributing_is_right():
     names = {}
     exec(block, names)
     s, Jm = np.array([0.8, 1.0, 1.5]), 20.0
-    P = energies.Stress(lambda F: names["gent"](F, 1.0, Jm))
+    P = responses.Stress(lambda F: names["gent"](F, 1.0, Jm))
     wanted = Jm * (s - s**-2) / (Jm - (s**2 + 2 / s) + 3)
-    np.testing.assert_allclose(energies.response(P, s, 1, "incompressible"), wanted, atol=1e-9)
+    np.testing.assert_allclose(responses.response(P, s, 1, "incompressible"), wanted, atol=1e-9)

@@ -303,9 +303,9 @@ assert abs(u.x.array - solution).max() < 1e-8
 # %% [markdown]
 # ## Exercises
 #
-# **Exercise 1.** Document 003 has a second neo-Hookean energy in (21), with $\tfrac{\lambda}{2}(J - 1)^2$
-# instead of $\tfrac{\lambda}{2}(\ln J)^2$. Find its $P$ by hand, put it into the NumPy element, and
-# compare with the automatic residual of `forms.energies.neo_hookean_quadratic`.
+# **Exercise 1.** Document 003 has a second neo-Hookean energy in (21), with $\tfrac{\lambda}{2}(J -
+# 1)^2$ instead of $\tfrac{\lambda}{2}(\ln J)^2$. Find its $P$ by hand, put it into the NumPy
+# element, and compare with the automatic residual of `forms.energies.neo_hookean_quadratic`.
 #
 # <details><summary>Solution</summary>
 #
@@ -325,8 +325,8 @@ assert abs(u.x.array - solution).max() < 1e-8
 # </details>
 
 # %% [markdown]
-# **Exercise 2.** Solve the bar with the tangent at rest, $K(0)$, in all iterations (the *modified* Newton
-# method). By which factor does $|R|$ fall per iteration? Predict it before you measure.
+# **Exercise 2.** Solve the bar with the tangent at rest, $K(0)$, in all iterations (the *modified*
+# Newton method). By which factor does $|R|$ fall per iteration? Predict it before you measure.
 #
 # <details><summary>Solution</summary>
 #

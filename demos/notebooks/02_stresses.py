@@ -291,8 +291,9 @@ assert np.allclose(materials.neo_hookean_elasticity(gradients, mu, lmbda), c, at
 #
 # ## Exercises
 #
-# **Exercise 1.** The Saint Venant-Kirchhoff rod between rigid walls, $F = \operatorname{diag}(s, 1, 1)$, is
-# pressed together. At which $s$ is the force greatest? What do $S_{11}$ and $\sigma_{11}$ do there?
+# **Exercise 1.** The Saint Venant-Kirchhoff rod between rigid walls, $F = \operatorname{diag}(s, 1,
+# 1)$, is pressed together. At which $s$ is the force greatest? What do $S_{11}$ and $\sigma_{11}$
+# do there?
 #
 # <details><summary>Solution</summary>
 #
@@ -311,8 +312,8 @@ assert np.allclose(materials.neo_hookean_elasticity(gradients, mu, lmbda), c, at
 # </details>
 
 # %% [markdown]
-# **Exercise 2.** Show that the tangent of $P$, $A = \partial P / \partial F$, is not zero along a spin
-# $\dot F = W F$ with $W = -W^T$, where the energy does not change. What is $A : \dot F$?
+# **Exercise 2.** Show that the tangent of $P$, $A = \partial P / \partial F$, is not zero along a
+# spin $\dot F = W F$ with $W = -W^T$, where the energy does not change. What is $A : \dot F$?
 #
 # <details><summary>Solution</summary>
 #

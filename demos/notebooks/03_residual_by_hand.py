@@ -290,10 +290,10 @@ assert np.interp(1.0, factors, sweep) < 0.05
 #
 # ## Exercises
 #
-# **Exercise 1.** In compression $K_\sigma$ is negative. At which strain does the tangent of the straight,
-# unloaded bar cease to be positive definite? Predict it from `largest_factor` at 1 %; then follow
-# the smallest eigenvalues of $K_c + K_\sigma$ and of $K_c$ up to 5 %, and extrapolate. Euler's
-# strain for clamped ends is $4 \pi^2 I / (A L^2) = 3.3$ %.
+# **Exercise 1.** In compression $K_\sigma$ is negative. At which strain does the tangent of the
+# straight, unloaded bar cease to be positive definite? Predict it from `largest_factor` at 1 %;
+# then follow the smallest eigenvalues of $K_c + K_\sigma$ and of $K_c$ up to 5 %, and extrapolate.
+# Euler's strain for clamped ends is $4 \pi^2 I / (A L^2) = 3.3$ %.
 #
 # <details><summary>Solution</summary>
 #
@@ -317,8 +317,8 @@ assert np.interp(1.0, factors, sweep) < 0.05
 # </details>
 
 # %% [markdown]
-# **Exercise 2.** Turn a deformed tetrahedron as a whole by a rotation $Q$. How does $T$ change? What are
-# $K_c$ and $K_\sigma$ times the velocities $\omega \times x_a$ of a spin?
+# **Exercise 2.** Turn a deformed tetrahedron as a whole by a rotation $Q$. How does $T$ change?
+# What are $K_c$ and $K_\sigma$ times the velocities $\omega \times x_a$ of a spin?
 #
 # <details><summary>Solution</summary>
 #

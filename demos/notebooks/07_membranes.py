@@ -309,8 +309,8 @@ plt.show()
 #
 # ## Exercises
 #
-# **Exercise 1.** At rest, which of the six eigenvalues of $\psi_\text{sheet}$ are zero, and why must they
-# be?
+# **Exercise 1.** At rest, which of the six eigenvalues of $\psi_\text{sheet}$ are zero, and why
+# must they be?
 #
 # <details><summary>Solution</summary>
 #
@@ -341,8 +341,8 @@ plt.show()
 # </details>
 
 # %% [markdown]
-# **Exercise 3.** A Mooney-Rivlin balloon has $p = 2(1/l - 1/l^7)(1 + k l^2)$ (with $k = c_{01}/c_{10}$ and
-# $2 c_{10} = \mu$). From which $k$ on does the pressure have no peak any more?
+# **Exercise 3.** A Mooney-Rivlin balloon has $p = 2(1/l - 1/l^7)(1 + k l^2)$ (with $k =
+# c_{01}/c_{10}$ and $2 c_{10} = \mu$). From which $k$ on does the pressure have no peak any more?
 #
 # <details><summary>Solution</summary>
 #
@@ -358,8 +358,8 @@ plt.show()
 # </details>
 
 # %% [markdown]
-# **Exercise 4.** Let a gas do the work: prescribe $p V$ (constant temperature) instead of $V$. Does it pass
-# the limit point?
+# **Exercise 4.** Let a gas do the work: prescribe $p V$ (constant temperature) instead of $V$. Does
+# it pass the limit point?
 #
 # <details><summary>Solution</summary>
 #

@@ -379,7 +379,8 @@ assert path.completed and path.steps[0].convergence.projected > 0
 #
 # ## Exercises
 #
-# **Exercise 1.** For which starts $l$ does the plain Newton method of the first section return to 1?
+# **Exercise 1.** For which starts $l$ does the plain Newton method of the first section return to
+# 1?
 #
 # <details><summary>Solution</summary>
 #
@@ -393,8 +394,8 @@ assert path.completed and path.steps[0].convergence.projected > 0
 # </details>
 
 # %% [markdown]
-# **Exercise 2.** Press the buckling bar with the St Venant-Kirchhoff energy and a load of 1 Pa. What did it
-# converge to?
+# **Exercise 2.** Press the buckling bar with the St Venant-Kirchhoff energy and a load of 1 Pa.
+# What did it converge to?
 #
 # <details><summary>Solution</summary>
 #

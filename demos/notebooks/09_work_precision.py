@@ -257,8 +257,8 @@ Image(stored.getvalue())
 #
 # ## Exercises
 #
-# **Exercise 1.** How many unknowns would P1 need for the error that P3 has with 32 x 32 cells? Would they
-# fit into 64 GB, if the tangent takes 150 bytes per unknown?
+# **Exercise 1.** How many unknowns would P1 need for the error that P3 has with 32 x 32 cells?
+# Would they fit into 64 GB, if the tangent takes 150 bytes per unknown?
 #
 # <details><summary>Solution</summary>
 #
@@ -291,7 +291,8 @@ Image(stored.getvalue())
 # </details>
 
 # %% [markdown]
-# **Exercise 3.** Look at the whole chart. Which curves end in a floor, and what is it that no mesh can mend?
+# **Exercise 3.** Look at the whole chart. Which curves end in a floor, and what is it that no mesh
+# can mend?
 #
 # <details><summary>Solution</summary>
 #

@@ -9,7 +9,7 @@ import sys
 
 from demos.benchmarks.record import insert
 
-from . import bodies, energies, laws
+from . import bodies, energies, laws, responses
 
 PAGES = {  # page, mark: what writes the lines
     ("forms/README.md", "energies"): energies.lines,
@@ -27,7 +27,7 @@ def main(words):
     for (page, mark), lines in PAGES.items():
         insert(mark, lines(), energies.ROOT / page)
         print(f"{page}: {mark}", flush=True)
-    for part in () if words else (energies, bodies):
+    for part in () if words else (responses, bodies):
         for file in part.pictures():
             print(f"{file.relative_to(energies.ROOT)}: {file.stat().st_size / 1000:.0f} kB")
     return 0

@@ -9,6 +9,7 @@ from demos.benchmarks.record import insert, machine, markdown
 from .cases import CASES
 
 HERE = Path(__file__).resolve().parent
+PAGE = HERE / "README.md"
 COLUMNS = ("number", "found", "reference", "error", "tolerance")
 WIDTH, SMALLEST = 600, 100_000  # pixels, and bytes of a picture that is kept
 
@@ -46,21 +47,22 @@ def write(output, numbers):
     kept |= numbers
     kept = {name: kept[name] for name in CASES if name in kept}
     stored.write_text(json.dumps(kept, indent=1) + "\n")
-    lines = []
-    for name, case in CASES.items():
-        file = output / f"{name}.json"
-        if not file.exists():
-            continue
-        found = json.loads(file.read_text())
-        lines += [f"### {name}: {case.title}", "", f"Source: {case.source}."]
-        lines += [case.text] if case.text else []
-        ranks = f" on {found['ranks']} ranks" if found["ranks"] > 1 else ""
-        lines += [f"{found['seconds']:.0f} s{ranks}.", ""]
-        lines += markdown(COLUMNS, [row(case, *item) for item in found["numbers"].items()])
-        lines += ["", f"![{case.title}](figures/{name}.png)", ""]
+    for name in numbers:
+        insert(name, _section(name, json.loads((output / f"{name}.json").read_text())), PAGE)
     about = machine()
-    lines.append(f"{about['processor']}, DOLFINx {about['fenics-dolfinx']}, {about['date']}.")
-    insert("cases", lines, HERE / "README.md")
+    line = f"Last run on {about['processor']}, DOLFINx {about['fenics-dolfinx']}, {about['date']}."
+    insert("machine", [line], PAGE)
+
+
+def _section(name, found):
+    """Lines of the page about one case."""
+    case = CASES[name]
+    lines = [f"### {name}: {case.title}", "", f"Source: {case.source}."]
+    lines += [case.text] if case.text else []
+    ranks = f" on {found['ranks']} ranks" if found["ranks"] > 1 else ""
+    lines += [f"{found['seconds']:.0f} s{ranks}.", ""]
+    lines += markdown(COLUMNS, [row(case, *item) for item in found["numbers"].items()])
+    return [*lines, "", f"![{case.title}](figures/{name}.png)"]
 
 
 def compare(found, stored, rtol, names=()):
