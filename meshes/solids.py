@@ -129,6 +129,7 @@ def ellipsoid(
     endo: tuple[float, float] = (7.0, 17.0),
     epi: tuple[float, float] = (10.0, 20.0),
     base: float = 5.0,
+    apex: float | None = None,
 ) -> Body:
     """Ventricle: space between two half-axes' ellipsoids of revolution, below a plane. Collective.
 
@@ -147,6 +148,7 @@ def ellipsoid(
         endo: Short and long half axis of the inner surface.
         epi: Short and long half axis of the outer surface.
         base: Height of the plane that cuts both off.
+        apex: Edge length at the inner apex, from where the cells grow to h; by default h.
 
     Returns:
         The body.
@@ -159,7 +161,7 @@ def ellipsoid(
         for testing active and passive material behaviour, Proc. R. Soc. A 471 (2015) 20150641,
         problems 2 and 3.
     """
-    check_positive(h=h, **{"endo[0]": endo[0], "endo[1]": endo[1]})
+    check_positive(h=h, apex=apex, **{"endo[0]": endo[0], "endo[1]": endo[1]})
     check_order(order)
     if not (endo[0] < epi[0] < inf and endo[1] < epi[1] < inf):
         raise ValueError(
@@ -191,6 +193,11 @@ def ellipsoid(
         occ.cut(wall, [(3, above)])
         # At the sharply curved apex cells of edge h would not fit between the surfaces.
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 10)
+        if apex is not None:
+            size = gmsh.model.mesh.field.add("MathEval")
+            distance = f"Sqrt(x*x+y*y+(z+{endo[1]!r})*(z+{endo[1]!r}))"
+            gmsh.model.mesh.field.setString(size, "F", f"{apex!r}+0.6*{distance}")
+            gmsh.model.mesh.field.setAsBackgroundMesh(size)
         # HXT, whose cells stay valid between the curved sides where those of the default tangle.
         gmsh.option.setNumber("Mesh.Algorithm3D", 10)
 

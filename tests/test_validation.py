@@ -4,10 +4,14 @@
 import json
 from math import log
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from conftest import ROOT
+from dolfinx.mesh import entities_to_geometry
 
+import meshes
 from demos.validation import inflation, land, treloar
 from demos.validation.cases import CASES
 from demos.validation.page import shrink
@@ -192,6 +196,27 @@ def test_pictures_are_made_small(tmp_path):
     with Image.open(tmp_path / "small" / "noise.png") as small:
         assert small.width <= 600 and small.width * 2 == pytest.approx(small.height * 3, abs=3)
     assert (tmp_path / "small" / "noise.png").stat().st_size <= 100_000
+
+
+def test_cells_at_the_apex_are_as_small_as_asked():
+    """Edges at the inner apex are of the size given, and of h without it; 0 is refused."""
+    near = {}
+    for apex in (None, 0.35):
+        body = meshes.ellipsoid(MPI.COMM_SELF, h=4.0, apex=apex)
+        body.mesh.topology.create_entities(1)
+        body.mesh.topology.create_connectivity(1, 3)
+        ends = body.mesh.geometry.x[entities_to_geometry(body.mesh, 1, edges_of(body.mesh))]
+        middle = ends.mean(axis=1) - [0, 0, -17]
+        at_apex = np.linalg.norm(middle, axis=1) < 1
+        near[apex] = np.median(np.linalg.norm(ends[at_apex, 0] - ends[at_apex, 1], axis=1))
+    assert near[0.35] == pytest.approx(0.7, rel=0.5) and near[None] > 1.3 * near[0.35]
+    with pytest.raises(ValueError, match="apex must be positive, got apex=0"):
+        meshes.ellipsoid(MPI.COMM_SELF, h=4.0, apex=0)
+
+
+def edges_of(mesh):
+    """All edges of a mesh on one rank."""
+    return np.arange(mesh.topology.index_map(1).size_local, dtype=np.int32)
 
 
 @pytest.mark.slow

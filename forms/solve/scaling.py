@@ -66,7 +66,9 @@ class Scaled:
         self.system.residual(b)
         b.pointwiseMult(b, self.D)
         held = b.array_r[self.system.constrained]
-        reactions = np.sqrt(self.system.comm.allreduce(float(held @ held)))
+        # A trial state may be so far off that its forces overflow; it is refused as not finite.
+        with np.errstate(over="ignore", invalid="ignore"):
+            reactions = np.sqrt(self.system.comm.allreduce(float(held @ held)))
         b.array[self.system.constrained] = 0
         return float(reactions)
 
