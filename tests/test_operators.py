@@ -813,6 +813,8 @@ def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("LD_PRELOAD", " ".join(libraries))
     monkeypatch.setenv("ASAN_OPTIONS", "detect_leaks=0")
+    if run("-c", "from mpi4py import MPI", check=False).returncode:
+        pytest.skip("MPI itself does not start with this compiler's libasan loaded")
     done = run("-c", SANITIZED, cwd=tmp_path)
     assert done.stdout.strip() == "finished"
     assert list((tmp_path / "cache" / "fenics").glob("libvariform_*"))

@@ -65,6 +65,16 @@ def test_resultant_is_the_work_of_a_rigid_motion(sheared):
     assert force[0] == pytest.approx(work, rel=1e-12)
 
 
+def test_an_integral_of_nothing_is_zero():
+    """A component of a cross product that vanishes as an expression, before any number is known."""
+    mesh = unit_mesh(2, 2)
+    X = ufl.SpatialCoordinate(mesh)
+    upwards = ufl.as_vector([0.0, 0.0, 1.0])
+    lever = ufl.cross(ufl.as_vector([X[0], X[1], 0.0]), upwards)
+    found = [forms.integral(lever[i] * ufl.dx) for i in range(3)]
+    assert found == pytest.approx([0.5, -0.5, 0.0], abs=1e-15) and found[2] == 0.0
+
+
 def test_fields_and_points(sheared):
     """An affine field is interpolated exactly and read exactly at any point, also on corners."""
     mesh, _, _, _ = sheared

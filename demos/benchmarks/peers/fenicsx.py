@@ -20,7 +20,7 @@ def create(m):
     if COMM.rank:
         cells, points = cells[:0], points[:0]
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    body = mesh.create_mesh(COMM, cells, points, element)
+    body = mesh.create_mesh(COMM, cells=cells, x=points, e=element)
     ends = [
         mesh.locate_entities_boundary(body, 2, lambda x, at=at: np.isclose(x[0], at))
         for at in (0.0, 1.0)
