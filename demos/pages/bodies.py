@@ -14,7 +14,8 @@ from scipy import ndimage
 import meshes
 from demos.benchmarks.record import markdown
 
-from .energies import FIGURES, save
+from .energies import FIGURES
+from .responses import save
 
 COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
 TILE = (480, 400)  # pixels of one body, drawn at half the size
