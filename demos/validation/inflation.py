@@ -91,7 +91,7 @@ def run(folder, comm=MPI.COMM_WORLD):
         for (name, n), color in zip((("tube", 2), ("sphere", 3)), ("C0", "C1"), strict=True):
             axes.plot(fine, [closed_form(n, a) for a in fine], color, label=f"{name}, closed form")
             axes.plot(RADII, found[name], color + "o", label=f"{name}, computed")
-        axes.set(xlabel="inner radius now / at rest", ylabel="pressure inside [MPa]")
+        axes.set(xlabel="inner radius now / at rest [-]", ylabel="pressure inside [MPa]")
         axes.legend()
         figure.savefig(folder / "inflation.png")
     return numbers
