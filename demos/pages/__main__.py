@@ -1,33 +1,38 @@
 # SPDX-License-Identifier: MIT
 """Write the pages' tables and pictures: ``docker/enter python3 -m demos.pages``.
 
-``--tables`` leaves the pictures as they are. What is written stands in forms/README.md,
-meshes/README.md and tests/README.md between two marks each, and in demos/figures.
+``--tables`` leaves the pictures as they are; ``--demos`` runs every demo twice before, for their
+times and pictures. What is written stands in forms/README.md, meshes/README.md, tests/README.md and
+demos/README.md between two marks each, and in demos/figures.
 """
 
 import sys
 
 from demos.benchmarks.record import insert
 
-from . import bodies, energies, laws, responses
+from . import bodies, energies, gallery, laws, responses
 
 PAGES = {  # page, mark: what writes the lines
     ("forms/README.md", "energies"): energies.lines,
     ("meshes/README.md", "bodies"): bodies.lines,
     ("tests/README.md", "laws"): laws.lines,
+    ("demos/README.md", "demos"): gallery.table,
+    ("demos/README.md", "gallery"): gallery.gallery,
 }
 
 
 def main(words):
     """Write all tables, and all pictures."""
-    unknown = set(words) - {"--tables"}
+    unknown = set(words) - {"--tables", "--demos"}
     if unknown:
-        print(f"There is no option {', '.join(sorted(unknown))}: --tables is the only one.")
+        print(f"There is no option {', '.join(sorted(unknown))}: --tables and --demos are all.")
         return 2
+    if "--demos" in words:
+        gallery.run()
     for (page, mark), lines in PAGES.items():
         insert(mark, lines(), energies.ROOT / page)
         print(f"{page}: {mark}", flush=True)
-    for part in () if words else (responses, bodies):
+    for part in () if "--tables" in words else (responses, bodies):
         for file in part.pictures():
             print(f"{file.relative_to(energies.ROOT)}: {file.stat().st_size / 1000:.0f} kB")
     return 0
