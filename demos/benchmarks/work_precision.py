@@ -191,13 +191,14 @@ def draw(axes, rows, what="error"):
     for name, target in TARGETS.items():
         axes.axhline(target, color="0.3", lw=0.9, ls=":")
         place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-        axes.annotate(name, (1, target), (-3, 2), **place, ha="right", fontsize=8)
+        axes.annotate(name, (1, target), (2, 0), **place, va="center", fontsize=7)
     uncertain = max(row["uncertain"] for row in rows)
     if uncertain and what == "error":
         axes.axhspan(1e-12, uncertain, color="0.92", zorder=0, label="reference uncertain")
     axes.set(ylim=(1e-7, 2), xlabel="CPU time [s]")
     axes.grid(alpha=0.25)
-    axes.legend(fontsize=7, framealpha=0.7, ncols=1 + (len(labels) in (7, 8)))
+    place = "lower left" if what == "stress" else "best"
+    axes.legend(fontsize=7, framealpha=0.7, ncols=1 + (len(labels) in (7, 8)), loc=place)
 
 
 def pictures(rows):
