@@ -15,7 +15,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from .cases import CASES
-from .page import compare, row, shrink, write
+from .page import COLUMNS, compare, row, shrink, write
 
 OUTPUT = Path("results") / "validation"
 HERE = Path(__file__).resolve().parent
@@ -35,8 +35,8 @@ def run(names, comm=MPI.COMM_WORLD):
         seconds = time.perf_counter() - start
         found[name] = {"numbers": numbers, "seconds": round(seconds, 1), "ranks": comm.size}
         if comm.rank == 0:
-            for key in numbers:
-                print("  " + "  ".join(row(CASES[name], key, numbers[key])), flush=True)
+            for cells in (COLUMNS, *(row(CASES[name], *item) for item in numbers.items())):
+                print("  {:26} {:>16} {:>12} {:>9} {:>9}".format(*cells).rstrip())
             print(f"  {seconds:.1f} s", flush=True)
             (OUTPUT / f"{name}.json").write_text(json.dumps(found[name], indent=1) + "\n")
             keep({name: found[name]})

@@ -120,7 +120,7 @@ CASES = {
         {
             "Ogden, uniaxial": Known(0, 0.1101),
             "Ogden, equibiaxial": Known(0, 0.0461),
-            "Ogden, pure_shear": Known(0, 0.0349),
+            "Ogden, pure shear": Known(0, 0.0349),
         },
         "treloar",
         "Root mean square of the errors over that of the stresses. Tolerances are what Ogden's own "

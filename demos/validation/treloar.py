@@ -162,7 +162,7 @@ def run(folder, comm=MPI.COMM_WORLD):
     numbers |= {f"spread, {mode}": spread(mode) for mode in MODES}
     if comm.rank == 0:
         _draw(folder / "treloar.png", fitted)
-    return numbers
+    return {key.replace("_", " "): value for key, value in numbers.items()}
 
 
 def _draw(file, fitted):
