@@ -374,7 +374,7 @@ assert path.completed and path.steps[0].convergence.projected > 0
 # | line search found no lower value | direction leads uphill | `projection="auto"` |
 # | "Nothing holds the body …" | a rigid motion is free | a support, a pin, a spring |
 # | steps halved to nothing at a load | limit point | `control`, `arc_length` (notebook 7) |
-# | converged, "Unstable from …" | equilibrium, no minimum | `arc_length` along `lowest_modes` |
+# | converged, "Unstable …" | equilibrium, no minimum | `arc_length` along `lowest_modes` |
 # | converged, smallest $J < 0$ | no wall at $J = 0$, or behind it | check $J$; another energy |
 #
 # ## Exercises

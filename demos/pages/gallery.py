@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from demos.benchmarks.record import machine, markdown
+from demos.validation.page import shrink
 
 from .energies import FIGURES, ROOT
 
 TIMES = Path(__file__).resolve().parent / "times.json"
-MOST = 100_000  # bytes of a picture; larger ones get 256 colors
 
 
 @dataclass(frozen=True)
@@ -181,8 +181,6 @@ def gallery():
 
 def run():
     """Run every demo twice, the first time with no form compiled; keep times and pictures."""
-    from PIL import Image
-
     about, seconds = machine(), {}
     for demo in DEMOS:
         with tempfile.TemporaryDirectory() as folder:
@@ -199,12 +197,8 @@ def run():
                     capture_output=True,
                 )
                 seconds[demo.name].append(round(time.perf_counter() - start, 1))
-            with Image.open(Path(folder) / "results" / demo.name / f"{demo.name}.png") as picture:
-                small = picture.convert("RGB").resize((600, 400))
-            file = FIGURES / f"{demo.name}.png"
-            small.save(file, optimize=True)
-            if file.stat().st_size > MOST:
-                small.quantize(256).save(file, optimize=True)
+            picture = Path("results") / demo.name / f"{demo.name}.png"
+            shrink(folder / picture, FIGURES / picture.name)
         print(f"{demo.name}: {seconds[demo.name]} s", flush=True)
     kept = {"processor": about["processor"], "date": about["date"], "seconds": seconds}
     TIMES.write_text(json.dumps(kept, indent=1) + "\n")
