@@ -695,8 +695,9 @@ checkpoint = None if folder == "none" else forms.Checkpoint(folder)
 path = forms.follow(psi, u, supports, t, to=to, step=1e-4, min_step=1e-6, max_step=1e-4,
                     on_step=on_step, checkpoint=checkpoint, rtol=1e-10, progress=False)
 square = forms.integral(ufl.inner(u, u) * ufl.dx)
+total = u.x.petsc_vec.sum()
 if comm.rank == 0:
-    print(repr(square), path.load, len(path.steps), float(u.x.array.sum()))
+    print(repr(square), path.load, len(path.steps), repr(total))
 """
 
 

@@ -105,7 +105,9 @@ class FieldSplit:
         """Make the solvers of the blocks, once these are known."""
         self._mass = self._mass_matrix()
         self._m = self._mass.getDiagonal()
-        self.S = self._mass.duplicate()
+        # Room for both: on some ranks one of them reaches a column that the other does not.
+        self.S = self.C.copy()
+        self.S.axpy(1, self._mass, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self._g, self._dp = self._m.duplicate(), self._m.duplicate()
         self._du, self._f = self.K.createVecRight(), self.K.createVecRight()
         below, above = self._solvers
@@ -149,7 +151,7 @@ class FieldSplit:
         weight.array[:] = np.sqrt(np.maximum(weight.array_r, least))
         self._mass.copy(self.S)
         self.S.diagonalScale(weight, weight)
-        self.S.axpy(-1, self.C, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.S.axpy(-1, self.C, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         for item in (stiffness, scaled, weight):
             item.destroy()
 
