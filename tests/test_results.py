@@ -73,6 +73,8 @@ def test_an_integral_of_nothing_is_zero():
     lever = ufl.cross(ufl.as_vector([X[0], X[1], 0.0]), upwards)
     found = [forms.integral(lever[i] * ufl.dx) for i in range(3)]
     assert found == pytest.approx([0.5, -0.5, 0.0], abs=1e-15) and found[2] == 0.0
+    u, v = forms.displacement(mesh), forms.displacement(mesh)
+    assert forms.integral(ufl.derivative(X[0] * ufl.dx, u, v)) == 0.0
 
 
 def test_fields_and_points(sheared):
