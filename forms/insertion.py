@@ -28,7 +28,7 @@ from .operators.library import library
 # petsc4py has no call for the arrays of a matrix; its library knows every function of PETSc.
 _PETSC = ctypes.CDLL(PETSc.__file__)
 _NAME = "variform_insertion"
-_TYPES = (fem.IntegralType.cell, fem.IntegralType.exterior_facet)
+_WIDTHS = {fem.IntegralType.cell: 1, fem.IntegralType.exterior_facet: 2}  # numbers of an entity
 _C = {"b": "int8_t *", "h": "int16_t *", "i": "int32_t *", "d": "double *"}
 _ROWS = 256  # filled with zeros at a time: few, so that the zeros stay in the cache
 
@@ -69,6 +69,9 @@ def assemble(A: PETSc.Mat, form: fem.Form, conditions: Sequence[fem.DirichletBC]
         A: Matrix of :func:`create_matrix` with the same boundary conditions, or any other.
         form: Form on the spaces, and with the integrals, of that which the matrix was made for.
         conditions: Boundary conditions.
+
+    Raises:
+        ValueError: the form is integrated over cells that the matrix was not made for.
     """
     insertion = A.getAttr(_NAME)
     if insertion is not None:
@@ -86,7 +89,7 @@ def _possible(form: fem.Form) -> bool:
     return (
         "_kernels" in vars(form)
         and (PETSc.ScalarType, PETSc.IntType) == (np.float64, np.int32)
-        and all(kind in _TYPES for kind in cpp.integral_types)
+        and all(kind in _WIDTHS for kind in cpp.integral_types)
         and not cpp.needs_facet_permutations
         and spaces[0] == spaces[1]
         and not spaces[0].element.needs_dof_transformations
@@ -136,7 +139,8 @@ class _Insertion:
         self._lib, self._ffi = library(form.mesh.comm)
         V: Any = form.function_spaces[0]  # DOLFINx's own, in C++
         mesh = form.mesh
-        cells = mesh.topology.index_map(mesh.topology.dim).size_local
+        imap = mesh.topology.index_map(mesh.topology.dim)
+        cells = imap.size_local + imap.num_ghosts
         owned, size = V.dofmap.index_map.size_local, V.dofmap.bs
         numbers = np.ascontiguousarray(V.dofmap.map()[:cells], np.int32)
         table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh)[:cells], np.int32)
@@ -154,15 +158,20 @@ class _Insertion:
             [np.arange(owned) * size, np.searchsorted(beside, ghosts * size)]
         ).astype(np.int32)
         self._matrix = self._ffi.new("target_t *")
-        self._matrix.owned, self._matrix.size, self._matrix.nodes = owned, size, nodes
+        self._matrix.cells, self._matrix.owned = cells, owned
+        self._matrix.size, self._matrix.nodes = size, nodes
         self._matrix.numbers, self._matrix.places = self._at(numbers), self._at(self._places)
         self._matrix.held = self._at(self._held)
         self._matrix.rows = [self._at(part.rows) for part in parts]
         columns = self._ffi.new("int32_t *[3]", [self._at(part.columns) for part in parts])
         held = np.flatnonzero(self._held[: owned * size]).astype(np.int32)
         self._diagonal = np.empty_like(held)
+        # Only these have entries in the pattern: an own facet of a ghost cell, but not each ghost.
+        met = np.zeros(cells, np.int8)
+        for kind, entities, _ in _dolfinx.integrals(form):
+            met[entities.reshape(-1, _WIDTHS[kind])[:, 0]] = 1
         found = self._lib.insertion_places(
-            self._matrix, cells, columns, self._at(first), self._at(self._places)
+            self._matrix, self._at(met), columns, self._at(first), self._at(self._places)
         ) and self._lib.insertion_diagonal(
             self._matrix.rows[0], columns[0], len(held), self._at(held), self._at(self._diagonal)
         )
@@ -184,17 +193,17 @@ class _Insertion:
         for values in (*own, waiting.part.values):
             values[:] = 0
         self._matrix.values = [self._at(v) for v in (own[0], own[-1], waiting.part.values)]
-        constants = _dolfinx.constants(form)
+        constants, left_out = _dolfinx.constants(form), 0
         integrals = zip(vars(form)["_kernels"], _dolfinx.integrals(form), strict=True)
         for kernel, (kind, entities, coefficients) in integrals:
             part = self._ffi.new("part_t *")
             part.kernel = self._ffi.cast("tabulate_t", kernel)
             part.facets = kind == fem.IntegralType.exterior_facet
             entities = np.ascontiguousarray(entities, np.int32)
-            part.count = entities.size // (2 if part.facets else 1)
+            part.count = entities.size // _WIDTHS[kind]
             part.entities = self._at(entities)
             part.width, part.coefficients = coefficients.shape[1], self._at(coefficients)
-            self._lib.insertion_add(
+            left_out += self._lib.insertion_add(
                 self._matrix, part, self._geometry, self._at(constants), *map(self._at, self._room)
             )
         own[0][self._diagonal] = 1
@@ -203,6 +212,12 @@ class _Insertion:
             add = PETSc.InsertMode.ADD_VALUES
             A.setValuesIJV(starts, waiting.columns, values, addv=add, rowmap=waiting.rows)
         A.assemble()
+        left_out = A.comm.tompi4py().allreduce(left_out)
+        if left_out:
+            raise ValueError(
+                f"{left_out} cells or facets of the form are none of those that the matrix was "
+                "made for: make a matrix for this form."
+            )
 
 
 class _Waiting(NamedTuple):

@@ -20,6 +20,7 @@ import cffi
 
 from .. import _dolfinx, _jit
 from .jets import Kind
+from .stretches import MAX_PARAMETERS
 
 SOURCE = Path(__file__).parent / "kernels"
 KERNELS = 64  # integrals with operators in one form
@@ -49,7 +50,7 @@ void singular_values(int rows, int cols, int plane, int improper, long n, const 
 void projection_set(void *factorize, void *eigen);
 extern const tabulate_t kernels[64];
 typedef struct {
-  int owned, size, nodes; const int32_t *numbers; const int16_t *places; const int32_t *rows[3];
+  int cells, owned, size, nodes; const int32_t *numbers; const int16_t *places; const int32_t *rows[3];
   double *values[3]; const int8_t *held;
 } target_t;
 typedef struct {
@@ -57,13 +58,15 @@ typedef struct {
   const double *coefficients;
 } part_t;
 typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_t;
-int insertion_places(const target_t *t, long cells, const int32_t *columns[3],
+int insertion_places(const target_t *t, const int8_t *met, const int32_t *columns[3],
                      const int32_t *first, int16_t *places);
 int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count,
                        const int32_t *held, int32_t *places);
-void insertion_add(const target_t *t, const part_t *p, const geometry_t *g,
+long insertion_add(const target_t *t, const part_t *p, const geometry_t *g,
                    const double *constants, double *K, double *x);
+extern const long declared[10];
 """
+_STRUCTURES = ("operator_t", "jet_t", "integral_t", "target_t", "part_t", "geometry_t")
 MAX_OPERATORS, MAX_PIECES = 8, 16
 
 
@@ -118,6 +121,13 @@ def _load(path: Path) -> tuple[Any, Any]:
     ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
     ffi.cdef(_DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
+    ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
+    if list(loaded.declared) != ours:
+        raise RuntimeError(
+            f"{path} declares other structures than Python, sizes and limits {ours} here and "
+            f"{list(loaded.declared)} there: the declarations of {Path(__file__).name} and of "
+            f"{SOURCE.name}/*.h have to be the same."
+        )
     lapack = ctypes.CDLL(PETSc.__file__)  # finds what PETSc is linked to, its LAPACK included
     functions = (lapack.dpotrf_, lapack.dsyev_)
     addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in functions]

@@ -23,6 +23,7 @@ from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
 from .. import _dolfinx, _jit
+from ..entities import with_owned_entities
 from .chain import expanded, nodes
 from .jets import Jet, Jets
 from .library import KERNELS, MAX_OPERATORS, MAX_PIECES, describe, library, pointer
@@ -42,13 +43,14 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
             point, and the matrices of cells and facets where other terms take part.
 
     Raises:
-        ValueError: an operator in an integral over interior facets, or a rule other than the
-            default.
+        ValueError: an operator in an integral over interior facets, a rule other than the default,
+            or a measure that lists entities which the mesh does not have.
         RuntimeError: the compiler is missing or failed.
     """
     form = expand_derivatives(expanded(form))
     if form.empty():
         raise ValueError("the form is zero: does it depend on what it was differentiated by?")
+    form = with_owned_entities(form)
     jets = [c for c in form.coefficients() if isinstance(c, Jet)]
     if not jets and not project:
         return _plain(form)

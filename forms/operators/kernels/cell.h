@@ -4,7 +4,11 @@
    DOLFINx calls kernels[k] for the k-th integral of a form. The form's first constant is the number of its
    first integral in the table below, so that nothing but a small whole number travels through DOLFINx;
    the table's entries hold pointers to the kernels that FFCx compiled. Nothing is kept between cells. */
+#ifndef VARIFORM_CELL_H
+#define VARIFORM_CELL_H
+
 #include <stdlib.h>
+#include <string.h>
 
 #include "point.h"
 #include "projection.h"
@@ -38,7 +42,7 @@ static long table_size = 0;
 /* Copy integrals into the table; the number of the first, or -1 without memory. */
 long integrals_add(const integral_t *integrals, int count)
 {
-  integral_t **larger = realloc(table, (table_size + count) * sizeof *table);
+  integral_t **larger = realloc(table, (size_t)(table_size + count) * sizeof *table);
   if (!larger) return -1;
   table = larger;
   for (int k = 0; k < count; k++) {
@@ -66,19 +70,19 @@ static void fill(const jet_t *j, int project, double *w, const double *packed, c
   const int size[3] = {1, operand, operand * operand};
   double X[width * j->points], local[j->coefficients + 1];
   for (int k = 0; k < j->pieces; k++)
-    memcpy(local + j->piece[k][0], packed + j->piece[k][1], j->piece[k][2] * sizeof(double));
+    memcpy(local + j->piece[k][0], packed + j->piece[k][1], (size_t)j->piece[k][2] * sizeof(double));
   memset(X, 0, sizeof X); /* FFCx kernels add */
   j->operand(X, local, c + j->constants, x, entity, perm VARIFORM_CUSTOM);
   double *out[3];
   for (int l = 0; l < 3; l++)
     out[l] = j->levels[l] < 0 ? 0 : w + j->levels[l];
   /* The gradient of a linear simplex is the same at all points, bit by bit. */
-  const int constant = !memcmp(X, X + width, (j->points - 1) * width * sizeof(double));
+  const int constant = !memcmp(X, X + width, (size_t)((j->points - 1) * width) * sizeof(double));
   points_in_row(&j->op, constant ? 1 : j->points, X, project, out[0], out[1], out[2]);
   for (int k = 1; constant && k < j->points; k++)
     for (int l = 0; l < 3; l++)
       if (out[l])
-        memcpy(out[l] + k * size[l], out[l], size[l] * sizeof(double));
+        memcpy(out[l] + k * size[l], out[l], (size_t)size[l] * sizeof(double));
 }
 
 static void integrate(int k, double *A, const double *w, const double *c, const double *x, const int *entity,
@@ -91,7 +95,7 @@ static void integrate(int k, double *A, const double *w, const double *c, const 
     return;
   }
   double all[t->coefficients + 1];
-  memcpy(all, w, t->packed * sizeof(double));
+  memcpy(all, w, (size_t)t->packed * sizeof(double));
   for (int j = 0; j < t->jets; j++) fill(&t->jet[j], t->project_points, all, w, c, x, entity, perm);
   if (t->project_rows) {
     const int n = t->project_rows;
@@ -125,3 +129,5 @@ KERNELS(0) KERNELS(1) KERNELS(2) KERNELS(3) KERNELS(4) KERNELS(5) KERNELS(6) KER
 #define NAMES(a) \
   kernel_##a##0, kernel_##a##1, kernel_##a##2, kernel_##a##3, kernel_##a##4, kernel_##a##5, kernel_##a##6, kernel_##a##7
 const tabulate_t kernels[] = {NAMES(0), NAMES(1), NAMES(2), NAMES(3), NAMES(4), NAMES(5), NAMES(6), NAMES(7)};
+
+#endif

@@ -3,9 +3,19 @@
 
    Rows of cell matrices belong to three arrays: the matrix' diagonal and off-diagonal parts, and a buffer
    of the same kind for rows that other ranks own. Blocks of a node's components have one place. */
+#ifndef VARIFORM_INSERTION_H
+#define VARIFORM_INSERTION_H
+
 #include <stdint.h>
+#include <string.h>
+
+#include "kernel.h"
+
+/* In place of the first place of a cell that no integral of the form meets. */
+#define UNKNOWN INT16_MIN
 
 typedef struct {
+  int cells;              /* of this rank, ghosts included */
   int owned;              /* nodes of this rank */
   int size;               /* components of a node */
   int nodes;              /* of a cell */
@@ -45,13 +55,18 @@ static long place_in(const int32_t *columns, long n, int32_t column)
   return low < n && columns[low] == column ? low : -1;
 }
 
-/* Find the places of all cells. columns: those of the three arrays; first: each node's first column in the
-   part that it belongs to, in the ghosts' buffer always size times its number. 0: one is missing, or too
-   far from the start of its row. */
-int insertion_places(const target_t *t, long cells, const int32_t *columns[3], const int32_t *first, int16_t *places)
+/* Find the places of the cells that are marked as met. columns: those of the three arrays; first: each
+   node's first column in the part that it belongs to, in the ghosts' buffer always size times its number.
+   0: one is missing, or too far from the start of its row. */
+int insertion_places(const target_t *t, const int8_t *met, const int32_t *columns[3], const int32_t *first,
+                     int16_t *places)
 {
   const int n = t->nodes;
-  for (long cell = 0; cell < cells; cell++)
+  for (long cell = 0; cell < t->cells; cell++) {
+    if (!met[cell]) {
+      places[cell * n * n] = UNKNOWN;
+      continue;
+    }
     for (int i = 0; i < n; i++)
       for (int j = 0; j < n; j++) {
         const int32_t r = t->numbers[n * cell + i], c = t->numbers[n * cell + j];
@@ -59,9 +74,10 @@ int insertion_places(const target_t *t, long cells, const int32_t *columns[3], c
         const int32_t *row = t->rows[part] + (long)t->size * (part == 2 ? r - t->owned : r);
         const int32_t column = part == 2 ? t->size * c : first[c];
         const long place = place_in(columns[part] + row[0], row[1] - row[0], column);
-        if (place < 0 || place > INT16_MAX) return 0;
+        if (place < 0 || place >= INT16_MAX) return 0; /* ~INT16_MAX is UNKNOWN */
         places[(n * cell + i) * n + j] = (int16_t)(part == 1 ? ~place : place);
       }
+  }
   return 1;
 }
 
@@ -110,19 +126,28 @@ static void add_cell(const target_t *t, long cell, double *K)
     add_blocks(t, cell, K, size);
 }
 
-/* Add one integral of a bilinear form; K: space for a cell's matrix, x: for its coordinates. */
-void insertion_add(const target_t *t, const part_t *p, const geometry_t *g, const double *constants, double *K,
+/* Add one integral of a bilinear form; K: space for a cell's matrix, x: for its coordinates. The number of
+   entities left out because their cells have no places. */
+long insertion_add(const target_t *t, const part_t *p, const geometry_t *g, const double *constants, double *K,
                    double *x)
 {
+  long left_out = 0;
   const uint8_t perm[2] = {0, 0};
   const long total = (long)t->nodes * t->size;
   for (long e = 0; e < p->count; e++) {
     const int32_t *entity = p->entities + (p->facets ? 2 * e : e);
+    if (entity[0] < 0 || entity[0] >= t->cells || t->places[(long)entity[0] * t->nodes * t->nodes] == UNKNOWN) {
+      left_out++;
+      continue;
+    }
     const int32_t *nodes = g->numbers + (long)g->nodes * entity[0];
     const int local = p->facets ? entity[1] : 0;
     for (int i = 0; i < g->nodes; i++) memcpy(x + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
-    memset(K, 0, total * total * sizeof(double));
+    memset(K, 0, (size_t)(total * total) * sizeof(double));
     p->kernel(K, p->coefficients + e * p->width, constants, x, &local, perm VARIFORM_CUSTOM);
     add_cell(t, entity[0], K);
   }
+  return left_out;
 }
+
+#endif

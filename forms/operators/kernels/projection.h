@@ -1,6 +1,10 @@
 /* SPDX-License-Identifier: MIT */
 /* Nearest positive semi-definite matrix to a cell's tangent. */
-#include <string.h>
+#ifndef VARIFORM_PROJECTION_H
+#define VARIFORM_PROJECTION_H
+
+#include <float.h>
+#include <math.h>
 
 typedef void (*factorize_t)(const char *, const int *, double *, const int *, int *);
 typedef void (*eigen_t)(const char *, const char *, const int *, double *, const int *, double *, double *,
@@ -41,3 +45,5 @@ static void project_matrix(int n, double *K)
     for (int i = 0; i < n; i++)
       for (int j = 0; j < n; j++) K[n * i + j] -= values[m] * L[n * m + i] * L[n * m + j];
 }
+
+#endif

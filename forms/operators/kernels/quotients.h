@@ -11,17 +11,8 @@
 
 #include <float.h>
 #include <math.h>
-#include <stdint.h>
 
-#ifdef VARIFORM_CUSTOM_DATA /* FFCx kernels of DOLFINx >= 0.10 take one more argument */
-typedef void (*tabulate_t)(double *, const double *, const double *, const double *, const int *,
-                           const uint8_t *, void *);
-#define VARIFORM_CUSTOM , 0
-#else
-typedef void (*tabulate_t)(double *, const double *, const double *, const double *, const int *,
-                           const uint8_t *);
-#define VARIFORM_CUSTOM
-#endif
+#include "kernel.h"
 
 typedef struct {
   tabulate_t psi; /* of (s_1..s_n, parameters); adds value, gradient, Hessian (upper triangle) */
