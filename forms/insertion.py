@@ -9,7 +9,6 @@ other ranks own go by PETSc's usual way.
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -22,11 +21,9 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from . import _dolfinx
+from . import _dolfinx, _petsc
 from .operators.library import library
 
-# petsc4py has no call for the arrays of a matrix; its library knows every function of PETSc.
-_PETSC = ctypes.CDLL(PETSc.__file__)
 _NAME = "variform_insertion"
 _WIDTHS = {fem.IntegralType.cell: 1, fem.IntegralType.exterior_facet: 2}  # numbers of an entity
 _C = {"b": "int8_t *", "h": "int16_t *", "i": "int32_t *", "d": "double *"}
@@ -112,14 +109,6 @@ def _fill(A: PETSc.Mat, pattern: Any) -> None:
     A.assemble()
 
 
-class _Part(NamedTuple):
-    """One of the arrays of a matrix: its values, row after row, and where each row starts."""
-
-    rows: NDArray[np.int32]
-    columns: NDArray[np.int32]
-    values: NDArray[np.float64]
-
-
 class _Insertion:
     """Places of all cells' blocks in a matrix, and the loop that adds to them.
 
@@ -150,7 +139,7 @@ class _Insertion:
             self._held[condition.dof_indices()[0]] = 1
         nodes = numbers.shape[1]
         self._places = np.empty((cells, nodes, nodes), np.int16)
-        parts, beside = _parts(A)
+        parts, beside = _petsc.parts(A)
         self._waiting = _ghost_rows(pattern, owned, size)
         parts.append(self._waiting.part)
         # A node's columns begin, in the diagonal part, at its number; beside it they are counted.
@@ -189,7 +178,7 @@ class _Insertion:
 
     def assemble(self, A: PETSc.Mat, form: fem.Form) -> None:
         """See the function of that name. Collective."""
-        own, waiting = _values(A), self._waiting
+        own, waiting = _petsc.values(A), self._waiting
         for values in (*own, waiting.part.values):
             values[:] = 0
         self._matrix.values = [self._at(v) for v in (own[0], own[-1], waiting.part.values)]
@@ -225,7 +214,7 @@ class _Waiting(NamedTuple):
 
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
-    part: _Part
+    part: _petsc.Part
 
 
 def _ghost_rows(pattern: Any, owned: int, size: int) -> _Waiting:
@@ -243,54 +232,5 @@ def _ghost_rows(pattern: Any, owned: int, size: int) -> _Waiting:
     # Not PETSc's local numbers: its map of the columns is not that of the pattern.
     ghosts = pattern.index_map(0).ghosts[:, None] * size + np.arange(size)
     columns = unrolled(_dolfinx.column_map(pattern).local_to_global(nodes))
-    part = _Part(rows, unrolled(nodes), np.zeros(len(columns)))
+    part = _petsc.Part(rows, unrolled(nodes), np.zeros(len(columns)))
     return _Waiting(ghosts.ravel().astype(np.int32), columns, part)
-
-
-def _parts(A: PETSc.Mat) -> tuple[list[_Part], NDArray[np.int32]]:
-    """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole."""
-    matrices, names = _sequential(A)
-    found = []
-    for matrix, values in zip(matrices, _values(A), strict=True):
-        count, done = ctypes.c_int32(), ctypes.c_int32()
-        rows, columns = (ctypes.POINTER(ctypes.c_int32)() for _ in range(2))
-        plain = (ctypes.c_int32(0),) * 3  # numbers from 0, the pattern as it is, not of blocks
-        _call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
-        found.append(_Part(_array(rows, count.value + 1), _array(columns, len(values)), values))
-    width = int(found[-1].columns.max(initial=-1)) + 1 if len(found) == 2 else 0
-    return [found[0], found[-1]], _array(names, width)
-
-
-def _sequential(A: PETSc.Mat) -> tuple[list[ctypes.c_void_p], Any]:
-    """The matrices that an AIJ matrix is made of: itself, or two parts and the latter's columns."""
-    whole, names = ctypes.c_void_p(A.handle), ctypes.POINTER(ctypes.c_int32)()
-    if A.getType() != "mpiaij":
-        return [whole], names
-    parts = [ctypes.c_void_p(), ctypes.c_void_p()]
-    _call("MatMPIAIJGetSeqAIJ", whole, *map(ctypes.byref, (*parts, names)))
-    return parts, names
-
-
-def _values(A: PETSc.Mat) -> list[NDArray[np.float64]]:
-    """PETSc's arrays of an assembled AIJ matrix."""
-    arrays = []
-    for part in _sequential(A)[0]:
-        values, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * 10)()
-        _call("MatSeqAIJGetArray", part, ctypes.byref(values))
-        _call("MatGetInfo", part, 1, info)
-        arrays.append(_array(values, int(info[2])))
-        # Returned before it is written to: A.assemble() always follows.
-        _call("MatSeqAIJRestoreArray", part, ctypes.byref(values))
-    return arrays
-
-
-def _array(address: Any, size: int) -> NDArray:
-    """View of C's memory."""
-    return np.ctypeslib.as_array(address, (size,)) if size else np.empty(0, address._type_)
-
-
-def _call(name: str, *arguments: Any) -> None:
-    """Call a function of PETSc."""
-    error = getattr(_PETSC, name)(*arguments)
-    if error:
-        raise PETSc.Error(error)

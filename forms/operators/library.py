@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import shlex
@@ -14,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import cffi
 
-from .. import _dolfinx, _jit
+from .. import _dolfinx, _jit, _petsc
 from .jets import Kind
 from .stretches import MAX_PARAMETERS
 
@@ -128,10 +126,8 @@ def _load(path: Path) -> tuple[Any, Any]:
             f"{list(loaded.declared)} there: the declarations of {Path(__file__).name} and of "
             f"{SOURCE.name}/*.h have to be the same."
         )
-    lapack = ctypes.CDLL(PETSc.__file__)  # finds what PETSc is linked to, its LAPACK included
-    functions = (lapack.dpotrf_, lapack.dsyev_)
-    addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in functions]
-    loaded.projection_set(*(ffi.cast("void *", a) for a in addresses))
+    addresses = _petsc.lapack("dpotrf", "dsyev")
+    loaded.projection_set(*(ffi.cast("void *", address) for address in addresses))
     return loaded, ffi
 
 

@@ -33,6 +33,7 @@ from ..variation import residual
 from . import linear
 from .convergence import Convergence
 from .damping import Damping
+from .options import SolverOptions
 from .scaling import Scaled
 from .stability import inertia
 
@@ -100,14 +101,10 @@ class Bordered:
         self.damping: Damping | None = None
         self.fresh = True  # not solved yet: the start may be flat
         self.ksp = PETSc.KSP().create(self.system.comm)
-        self.ksp.setOptionsPrefix(PREFIX)
-        options, preset = PETSc.Options(), linear.direct(self.system.symmetric)
-        ours = [key for key in preset if not options.hasName(PREFIX + key)]
-        for key in ours:
-            options[PREFIX + key] = preset[key]
+        self.options = SolverOptions(PREFIX)
+        self.options.apply(linear.direct(self.system.symmetric))
+        self.ksp.setOptionsPrefix(self.options.prefix)
         self.ksp.setFromOptions()
-        for key in ours:
-            options.delValue(PREFIX + key)
 
     @property
     def load(self) -> float:
@@ -247,6 +244,7 @@ class Bordered:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
+        self.options.clear()
         if self.damping is not None:
             self.damping.destroy()
         vectors = (self.b, self.R, self.R_q, self.du, self.du_q, self.g_u)

@@ -19,7 +19,7 @@ from .action import Action
 from .convergence import REASONS, Convergence
 from .damping import Damping
 from .multigrid import Kept
-from .options import given, was_used
+from .options import SolverOptions
 from .scaling import EPS, Scaled
 from .stability import inertia
 
@@ -60,8 +60,10 @@ class Newton:
 
     Args:
         system: What to solve.
-        options: PETSc options without prefix, over the presets; the command line wins over both.
-        prefix: Prefix of the options, as in ``-variform_snes_monitor``.
+        options: PETSc options without prefix, over the presets; those in PETSc's database, and on
+            the command line, win over both.
+        prefix: Prefix of the options there, as in ``-variform_snes_monitor``. The solver's own
+            prefix in the database, as ``variform_1_``, is unique: nothing of the user's is changed.
         rtol: Tolerance of the residual; the option snes_rtol goes over it, and snes_atol [N] sets
             an absolute one (none by default).
         ctol: Tolerance of the last correction, relative to the model's size.
@@ -93,15 +95,15 @@ class Newton:
         self._ruined = False
         self._damping: Damping | None = None
         self._left_multigrid = False
-        self.system, self.ctol, self.prefix = system, ctol, prefix
+        self.system, self.ctol = system, ctol
         self.A, self.b = system.create_matrix(), system.create_vector()
         self.x = self.b.duplicate()
         self._x_before = self.b.duplicate()
-        self._user = {**(options or {}), **given(prefix)}
+        self._options = SolverOptions(prefix, options, apart="bordered_")
+        self._user = self._options.user
         self.rtol = float(self._user.get("snes_rtol", rtol))
         self.atol = float(self._user.get("snes_atol", 0.0))
         self._preset = linear.preset(system)
-        self._presets: set[str] = set()
         self._solved = False
         self._imbalance: float | None = None
         self._reactions, self._correction = 0.0, np.inf
@@ -127,10 +129,7 @@ class Newton:
         matrix_free = own and preset.get("pc_type") == "mg"
         matrix_free &= not dependents(self.system._tangent_form)
         self._action = Action(self.system, self.A) if matrix_free else None
-        self._presets |= {*base, *preset}
-        database = PETSc.Options()
-        for key, value in {**base, **preset, **self._user}.items():
-            database[self.prefix + key] = value
+        self._options.apply({**base, **preset})
         self.snes = self._by_residual = self._create(None)
         self._full: PETSc.SNES | None = None
         if self.system.minimization:
@@ -139,16 +138,16 @@ class Newton:
             self.snes.setObjective(self._objective)
         if "snes_linesearch_type" not in self._user:
             # Newton's own steps, for where the descent of |R| gets slow.
-            database[self.prefix + "snes_linesearch_type"] = "basic"
+            self._options["snes_linesearch_type"] = "basic"
             self._full = self._create(self.snes.getKSP())
-            database[self.prefix + "snes_linesearch_type"] = base["snes_linesearch_type"]
+            self._options["snes_linesearch_type"] = base["snes_linesearch_type"]
         self.snes.getKSP().setPostSolve(self._hold)
         ksp, presets = self.snes.getKSP(), preset if own else {}
-        self._kept = Kept(self.system, ksp, presets, self.prefix, self._user)
+        self._kept = Kept(self.system, ksp, presets, self._options.prefix, self._user)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
         snes = PETSc.SNES().create(self.system.comm)
-        snes.setOptionsPrefix(self.prefix)
+        snes.setOptionsPrefix(self._options.prefix)
         snes.setFunction(self._residual, self.b.duplicate())
         snes.setJacobian(self._tangent, self._product, self.A)
         snes.setConvergenceTest(self._test)
@@ -253,8 +252,6 @@ class Newton:
             return False
         self._kept.destroy()
         self._drop_action()
-        for key in self._preset:
-            PETSc.Options().delValue(self.prefix + key)
         for snes in (self.snes, self._by_residual, self._full):
             if snes is not None:
                 snes.destroy()
@@ -398,20 +395,18 @@ class Newton:
         self._damping = Damping(self.system, self.A, self.scaled.free, force / self.scaled.size)
 
     def destroy(self) -> None:
-        """Free the PETSc objects (their callbacks refer to this one) and take the options back.
+        """Free the PETSc objects (their callbacks refer to this one) and this solver's options.
 
-        They would else hold for the next solve with the same prefix. Warns of options that PETSc
-        never asked for.
+        Warns of options that PETSc never asked for.
         """
-        unused = [key for key in self._user if not was_used(self.prefix + key)]
+        unused = self._options.unused()
         if unused and self._solved:
             warnings.warn(
                 f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
                 "for another solver?",
                 stacklevel=2,
             )
-        for key in self._presets | set(self._user):
-            PETSc.Options().delValue(self.prefix + key)
+        self._options.clear()
         self._kept.destroy()
         self._drop_action()
         if self._damping is not None:

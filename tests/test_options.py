@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: MIT
+"""Laws of PETSc's options: wherever the user sets them they hold, and they stay the user's."""
+
+import json
+import sys
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import ufl
+
+import forms
+import meshes
+from forms.solve.options import SolverOptions
+
+
+@pytest.fixture
+def scene():
+    """A square under traction: its potential, unknown and supports."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+    u = forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    load = forms.dead_traction(u, ufl.as_vector([0.1, 0.0]), body.ds("right"))
+    return psi * ufl.dx + load, u, [forms.clamp(u, body.facets("left"))]
+
+
+@pytest.fixture
+def database():
+    """PETSc's options, emptied of what a test has put there."""
+    options, before = PETSc.Options(), set(PETSc.Options().getAll())
+    yield options
+    for name in set(options.getAll()) - before:
+        options.delValue(name)
+
+
+def test_the_database_holds_and_stays(scene, database):
+    """PETSc.Options() goes over presets and options=, and is the same after the solve."""
+    database["variform_snes_max_it"] = 1
+    database["variform_snes_linesearch_type"] = "basic"
+    for options in (None, {"snes_max_it": 40}):
+        with pytest.raises(forms.NotConverged, match="stopped after 1 iterations"):
+            forms.solve(*scene, options=options)
+    assert database.getInt("variform_snes_max_it") == 1
+    assert database.getString("variform_snes_linesearch_type") == "basic"
+    assert forms.solve(*scene, prefix="other_").completed
+
+
+def test_a_solver_leaves_nothing_behind(scene, database):
+    """After a solve the database is what it was, presets and options= gone."""
+    before = database.getAll()
+    forms.solve(*scene, options={"snes_max_it": 40})
+    assert database.getAll() == before
+
+
+def test_values_with_blanks_arrive_whole(database):
+    """A value of several words, which PETSc's list of all options splits, is copied whole."""
+    database["blank_view"] = "ascii:a file:ascii_info -append"
+    options = SolverOptions("blank_")
+    options.apply({"ksp_type": "cg"})
+    assert options.user == {"view": "ascii:a file:ascii_info -append"}
+    assert database.getString(f"{options.prefix}view") == "ascii:a file:ascii_info -append"
+    options.clear()
+
+
+def test_two_solvers_share_nothing(scene, database):
+    """A second Newton that ends takes none of the first one's options with it."""
+    system = forms.system(*scene)
+    first = forms.Newton(system, {"snes_max_it": 7, "ksp_type": "gmres"})
+    second = forms.Newton(system, {"snes_max_it": 9})
+    kinds = [newton.snes.getKSP().getType() for newton in (first, second)]
+    assert kinds == ["gmres", "preonly"]
+    second.destroy()
+    first.snes.setFromOptions()
+    assert first.snes.getTolerances()[3] == 7
+    assert first.snes.getKSP().getType() == "gmres"
+    first.predict()
+    assert first.solve().converged
+    first.destroy()
+    assert not [name for name in database.getAll() if name.startswith("variform_")]
+
+
+SOURCES = """
+import json, sys
+from mpi4py import MPI
+from petsc4py import PETSc
+import ufl
+import forms, meshes
+
+body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+u = forms.displacement(body)
+psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+potential = psi * ufl.dx + forms.dead_traction(u, ufl.as_vector([0.1, 0.0]), body.ds("right"))
+found = {}
+for prefix in sys.argv[1].split(","):
+    newton = forms.Newton(forms.system(potential, u, [forms.clamp(u, body.facets("left"))]),
+                          prefix=prefix)
+    found[prefix] = newton.snes.getTolerances()[3]
+    newton.destroy()
+    newton = forms.Newton(newton.system, prefix=prefix)  # the options were not taken away
+    found[prefix] = [found[prefix], newton.snes.getTolerances()[3]]
+    newton.predict()
+    newton.solve()
+    newton.destroy()
+print(json.dumps(found))
+"""
+
+
+def test_files_variables_and_the_command_line(run, tmp_path, monkeypatch):
+    """-options_file, .petscrc, $PETSC_OPTIONS and the command line hold, the last one most."""
+    (tmp_path / "script.py").write_text(SOURCES)
+    (tmp_path / "options.txt").write_text("-file_snes_max_it 11\n-both_snes_max_it 12\n")
+    (tmp_path / ".petscrc").write_text("-home_snes_max_it 13\n")
+    monkeypatch.setenv("PETSC_OPTIONS", "-variable_snes_max_it 14 -line_snes_max_it 15")
+    line = ["-line_snes_max_it", 16, "-both_snes_max_it", 17, "-options_file", "options.txt"]
+    done = run("script.py", "file_,home_,variable_,line_,both_", *line, cwd=tmp_path)
+    assert json.loads(done.stdout) == {
+        "file_": [11, 11],
+        "home_": [13, 13],
+        "variable_": [14, 14],
+        "line_": [16, 16],
+        "both_": [17, 17],
+    }
+    # PETSc would name options that were given and not used.
+    assert "not used" not in done.stdout + done.stderr
+
+
+def test_a_volume_held_reads_the_database_too(scene, database, capfd):
+    """The bordered solver of control and arc_length: its options, and a view that shows them."""
+    potential, u, supports = scene
+    q = forms.load_factor(u.function_space.mesh)
+    load = forms.dead_traction(u, ufl.as_vector([0.0, 0.1 * q]), ufl.ds(domain=q.ufl_domain()))
+    database["variform_bordered_pc_type"] = "lu"
+    database["variform_bordered_ksp_view"] = None
+    path = forms.arc_length(potential + load, u, supports, q, step=0.1, steps=1, progress=False)
+    assert len(path.steps) == 1
+    sys.stdout.flush()
+    assert "type: lu" in capfd.readouterr().out
+    assert database.hasName("variform_bordered_pc_type")
+
+
+def test_options_of_another_solver_are_not_said_to_be_unused(scene, database, recwarn):
+    """What begins with bordered_ belongs to arc_length, and is no misspelling for solve."""
+    database["variform_bordered_pc_type"] = "lu"
+    forms.solve(*scene)
+    assert np.isfinite(scene[1].x.array).all() and not recwarn.list
