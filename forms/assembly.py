@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -93,12 +92,6 @@ class System:
         """Whether the unknown is a vector with one component per dimension."""
         V = self.u.function_space
         return not is_mixed(V) and V.num_sub_spaces == V.mesh.geometry.dim
-
-    @cached_property
-    def pressures(self) -> int:
-        """Degrees of freedom of the pressure on all ranks; 0 where the unknown is none."""
-        V = self.u.function_space
-        return _dolfinx.collapse(V.sub(1))[0].dofmap.index_map.size_global if is_mixed(V) else 0
 
     @property
     def size(self) -> int:

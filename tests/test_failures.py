@@ -3,6 +3,7 @@
 
 from mpi4py import MPI
 
+import basix.ufl
 import numpy as np
 import pytest
 import ufl
@@ -295,7 +296,7 @@ def test_multigrid_that_fails_gives_way_to_the_factorization(start, monkeypatch)
     wanted = u.x.array.copy()
     u.x.array[:] = solved if start == "near" else 0
     failing = {**linear_presets.multigrid(), "ksp_max_it": "1", "ksp_rtol": "1e-12"}
-    monkeypatch.setattr(linear_presets, "preset", lambda system: failing)
+    monkeypatch.setattr(linear_presets, "preset", lambda system, A: failing)
     forms.solve(potential, u, supports, rtol=1e-12)
     assert u.x.array == pytest.approx(wanted, abs=1e-11)
     assert np.abs(wanted - solved).max() > 1e-7
@@ -429,3 +430,64 @@ def test_a_stable_mixed_state_has_no_negative_eigenvalue():
     assert path.steps[0].convergence.negative == 0
     assert forms.negative_eigenvalues(path) == 0
     assert "Unstable" not in path.reason
+
+
+SECOND_FIELDS = {
+    "beside": lambda psi, a: psi + a**2 / 2 + ufl.inner(ufl.grad(a), ufl.grad(a)) / 20 - a / 10,
+    "coupled": lambda psi, a: (1 - a) * psi + a**2 / 2,
+}
+
+
+@pytest.mark.parametrize("case", SECOND_FIELDS)
+def test_a_second_field_that_is_minimized_over_counts_like_the_first(case):
+    """A scalar with a positive definite block: no eigenvalue is left out, and none is negative."""
+    body = meshes.block(MPI.COMM_WORLD, (1.0, 1.0), n=(4, 4))
+    cell = body.mesh.basix_cell()
+    fields = [basix.ufl.element("Lagrange", cell, 2, shape=(2,)), basix.ufl.element("P", cell, 1)]
+    w = fem.Function(fem.functionspace(body.mesh, basix.ufl.mixed_element(fields)), name="w")
+    u, a = ufl.split(w)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    potential = SECOND_FIELDS[case](psi, a) * ufl.dx
+    held = [
+        forms.clamp(w, body.facets("left")),
+        forms.translate(w, body.facets("right"), (0.1, 0)),
+    ]
+    path = forms.solve(potential, w, held)
+    assert path.steps[0].convergence.negative == 0 == forms.negative_eigenvalues(path)
+    assert "Unstable" not in path.reason
+
+
+@pytest.mark.parametrize("is_pressure", [False, True])
+def test_only_pressures_get_the_field_split(is_pressure, monkeypatch):
+    """Above its size a displacement and a scalar: the split for a pressure, MUMPS for another."""
+    monkeypatch.setattr(linear_presets, "SPLIT_FROM", {"tetrahedron": 0})
+    mesh = unit_mesh(3, 2)
+    w = forms.displacement_pressure(mesh)
+    u, a = ufl.split(w)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.neo_hookean(F, 1.0, 0.0 if is_pressure else 2.0)
+    psi = forms.energies.with_pressure(psi, F, a) if is_pressure else psi + a**2 / 2
+    newton = forms.Newton(forms.system(psi * ufl.dx, w, [forms.clamp(w, at_plane(mesh, 0, 0.0))]))
+    kind = newton.snes.getKSP().getPC().getType()
+    newton.destroy()
+    assert kind == ("python" if is_pressure else "cholesky")
+
+
+def test_three_fields_count_one_negative_eigenvalue_per_multiplier():
+    """psi(J~) + p (J - J~): the pressures count, the volume ratios J~ do not."""
+    body = meshes.block(MPI.COMM_WORLD, (1.0, 1.0), n=(3, 3))
+    cell = body.mesh.basix_cell()
+    volume = basix.ufl.element("DG", cell, 0)
+    vector = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
+    mixed = basix.ufl.mixed_element([vector, volume, volume])
+    w = fem.Function(fem.functionspace(body.mesh, mixed), name="w")
+    w.sub(2).interpolate(lambda x: np.ones(x.shape[1]))
+    u, p, Jt = ufl.split(w)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.isochoric_neo_hookean(F, 1.0) + 50 * (Jt - 1) ** 2
+    held = [
+        forms.clamp(w, body.facets("left")),
+        forms.translate(w, body.facets("right"), (0.05, 0)),
+    ]
+    path = forms.solve((psi + p * (ufl.det(F) - Jt)) * ufl.dx, w, held)
+    assert path.steps[0].convergence.negative == 0 == forms.negative_eigenvalues(path)

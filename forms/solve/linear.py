@@ -8,6 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
+from .. import _dolfinx
 from ..assembly import System, displacement_degree
 from ..supports import is_mixed
 
@@ -68,12 +69,16 @@ def aggregation(threshold: str = "-1") -> dict[str, str]:
     }
 
 
-def preset(system: System) -> dict[str, str]:
-    """Options for a system's tangent.
+def preset(system: System, A: PETSc.Mat) -> dict[str, str]:
+    """Options for a system's tangent. Collective.
 
     Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
     freedom, with the field split for symmetric displacement-pressure problems of degree 2 above 40
     thousand (hexahedra 80), else MUMPS.
+
+    Args:
+        system: What is solved.
+        A: Matrix for its tangent, which may be assembled here to see the second field's block.
     """
     V = system.u.function_space
     if V.mesh.topology.dim != 3:
@@ -82,16 +87,40 @@ def preset(system: System) -> dict[str, str]:
     if system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
         return multigrid(degree)
     most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
-    if system.symmetric and system.size > most and degree == 2 and _has_one_pressure(V):
-        return field_split()
+    if system.symmetric and system.size > most and degree == 2 and _has_one_scalar(V):
+        system.tangent(A)
+        if pressures(system, A):
+            return field_split()
     return direct(system.symmetric)
 
 
-def _has_one_pressure(W: fem.FunctionSpace) -> bool:
+def _has_one_scalar(W: fem.FunctionSpace) -> bool:
     """Whether a space is that of a displacement and one scalar."""
     if not is_mixed(W) or W.num_sub_spaces != 2:
         return False
     return W.sub(0).num_sub_spaces == W.mesh.geometry.dim and W.sub(1).num_sub_spaces == 0
+
+
+def pressures(system: System, A: PETSc.Mat) -> int:
+    """Degrees of freedom of fields beside the displacement that are no minimum of the potential.
+
+    Of pressures and other multipliers: their block -C of the tangent has no positive entry on its
+    diagonal, and each of them makes one eigenvalue negative. Collective.
+
+    Args:
+        system: System of one field or several.
+        A: Its assembled tangent, scaled or not.
+    """
+    V = system.u.function_space
+    if not is_mixed(V):
+        return 0
+    diagonal, total = A.getDiagonal().array_r, 0
+    for field in range(1, V.num_sub_spaces):
+        numbers = _dolfinx.collapse(V.sub(field))[1]
+        own = np.setdiff1d(numbers[numbers < len(diagonal)], system.constrained)
+        positive, count = system.comm.allreduce(np.array([(diagonal[own] > 0).sum(), len(own)]))
+        total += 0 if positive else int(count)
+    return total
 
 
 def rigid_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:

@@ -103,7 +103,7 @@ class Newton:
         self._user = self._options.user
         self.rtol = float(self._user.get("snes_rtol", rtol))
         self.atol = float(self._user.get("snes_atol", 0.0))
-        self._preset = linear.preset(system)
+        self._preset = linear.preset(system, self.A)
         self._solved = False
         self._imbalance: float | None = None
         self._reactions, self._correction = 0.0, np.inf

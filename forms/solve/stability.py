@@ -3,7 +3,8 @@
 
 A state is stable under dead loads and pressures with a potential where the second derivative of
 the potential is positive definite. Of a mixed displacement-pressure unknown the tangent has one
-negative eigenvalue per pressure besides.
+negative eigenvalue per pressure besides: of each field whose own block has no positive diagonal
+entry. A field with one, as a temperature or a damage variable, is minimized over like u.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
 
 
 def inertia(ksp: PETSc.KSP, system: System) -> int | None:
-    """Negative eigenvalues of the matrix last factorized, those of pressures left out.
+    """Negative eigenvalues of the matrix last factorized, those of pressures left out. Collective.
 
     None where the solver has no LDL^T factors of MUMPS.
     """
@@ -113,7 +114,7 @@ def inertia(ksp: PETSc.KSP, system: System) -> int | None:
     counted = pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
     if not counted or not system.symmetric or ksp.getConvergedReason() < 0:
         return None
-    return _negative_pivots(pc) - system.pressures
+    return _negative_pivots(pc) - linear.pressures(system, ksp.getOperators()[1])
 
 
 def instability(steps: Sequence[Any]) -> str:
