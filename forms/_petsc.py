@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What petsc4py has no call for, by ctypes: arrays of matrices, used options, LAPACK's addresses."""
+"""What petsc4py has no call for, by ctypes: matrices' arrays, used options, LAPACK's addresses."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Part(NamedTuple):
 
 
 def parts(A: PETSc.Mat) -> tuple[list[Part], NDArray[np.int32]]:
-    """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole; local.
+    """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole.
 
-    On one rank both parts are the matrix itself, and no columns are returned. The arrays are
+    Local. On one rank both parts are the matrix itself, and no columns are returned. The arrays are
     PETSc's own and live as long as the matrix has its pattern.
     """
     matrices, names = _sequential(A)
@@ -43,7 +43,7 @@ def parts(A: PETSc.Mat) -> tuple[list[Part], NDArray[np.int32]]:
 
 
 def values(A: PETSc.Mat) -> list[NDArray[np.float64]]:
-    """PETSc's arrays of an assembled AIJ matrix, to be written to before ``A.assemble()``; local."""
+    """PETSc's arrays of an assembled AIJ matrix, for writing before ``A.assemble()``; local."""
     arrays = []
     for part in _sequential(A)[0]:
         address, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * _NUMBERS)()

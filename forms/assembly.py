@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx, insertion
+from .loads import with_kinematics
 from .operators.chain import Dependent, dependents, expanded
 from .operators.jets import Jet
 from .operators.lowering import compiled
@@ -214,6 +215,7 @@ def system(
     degree = displacement_degree(_checks.function(u, "a solve"))
     supports = _listed(supports, u)
     _check_parts(potential, u)
+    potential, virtual_work = with_kinematics(potential, virtual_work)
     potential = with_quadrature(potential, degree)
     is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
     R = residual(potential, u) if is_energy else potential

@@ -60,7 +60,16 @@ def axisymmetric(u: Expr) -> Expr:
     r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
     # Quadrature points lie inside cells, but fields are evaluated at nodes on the axis, too.
     hoop = ufl.conditional(ufl.gt(r, 0), u[0] / r, ufl.grad(u)[0, 0])
-    return _embed(u, 1 + hoop)
+    return _embed(u, 1 + hoop, Revolved())
+
+
+class Revolved(ufl.classes.Label):
+    """Label of the deformation gradient of a body of revolution, by which it is known again."""
+
+
+def is_axisymmetric(F: Expr) -> bool:
+    """Whether an expression is an F of :func:`axisymmetric` itself."""
+    return isinstance(F, ufl.classes.Variable) and isinstance(F.label(), Revolved)
 
 
 def circumference(u: Expr) -> Expr:
@@ -188,8 +197,7 @@ def _dimension(u: Expr, name: str) -> int:
     return dim
 
 
-def _embed(u: Expr, F33: Expr) -> Expr:
+def _embed(u: Expr, F33: Expr, label: Expr | None = None) -> Expr:
     G = ufl.grad(u)
-    return ufl.variable(
-        ufl.as_matrix([[1 + G[0, 0], G[0, 1], 0], [G[1, 0], 1 + G[1, 1], 0], [0, 0, F33]])
-    )
+    F = ufl.as_matrix([[1 + G[0, 0], G[0, 1], 0], [G[1, 0], 1 + G[1, 1], 0], [0, 0, F33]])
+    return ufl.classes.Variable(F, label)

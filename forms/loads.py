@@ -2,17 +2,32 @@
 """Loads: potentials to be added to the energy, and virtual works where no potential exists.
 
 Signs: a load's potential is minus its work, so ``psi * dx + load`` is the total potential. A load
-that is a virtual work is added to the residual (``virtual_work=`` of a solve).
+that is a virtual work is added to the residual (``virtual_work=`` of a solve). On a body of
+revolution forces carry the weight :func:`forms.circumference`, as energies do; the pressures below
+put it in themselves.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import ufl
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.checks import is_cellwise_constant
+from ufl.corealg.multifunction import MultiFunction
 
 from ._checks import measure, vector
-from .kinematics import Expr, deformation_gradient
+from .kinematics import (
+    Expr,
+    Revolved,
+    axisymmetric,
+    circumference,
+    deformation_gradient,
+    is_axisymmetric,
+)
+from .operators.chain import nodes
 
 
 def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:
@@ -48,13 +63,16 @@ def follower_pressure(u: Expr, p: Expr, v: Expr, ds: ufl.Measure, F: Expr | None
 
     + int p n . v da = int p J F^-T N . v dA  (a pressure p > 0 pushes against the normal n)
 
+    On a body of revolution, dA = 2 pi R ds.
+
     Args:
         u: Displacement [m].
-        p: Pressure per deformed area [Pa].
+        p: Pressure per deformed area [Pa]. One that is constant in space gets the weight 2 pi R of
+            a body of revolution here; one that varies is taken to carry it.
         v: Test function of u's space (of the displacement in a mixed space).
-        ds: Measure of the loaded boundary.
-        F: Deformation gradient, needed where it is not that of u alone (a body of revolution,
-            whose ds also carries the weight :func:`forms.circumference`).
+        ds: Measure of the loaded boundary, as ``body.ds("left")``.
+        F: Deformation gradient, where it is not that of u alone; that of a body of revolution is
+            found in the potential that is solved with.
 
     Returns:
         Linear form for ``virtual_work``. Its tangent is unsymmetric in general.
@@ -68,32 +86,42 @@ def follower_pressure(u: Expr, p: Expr, v: Expr, ds: ufl.Measure, F: Expr | None
             f"follower_pressure needs a scalar p and a test function v of shape {u.ufl_shape}, got "
             f"shapes {p.ufl_shape} and {v.ufl_shape}; the order is (u, p, v, ds)."
         )
-    return ufl.inner(p * _deformed_normal(u, F), v) * measure(ds, "a pressure")
+
+    def density(F: Expr) -> Expr:
+        weight = circumference(u) if is_axisymmetric(F) and _is_uniform(p) else 1
+        return weight * ufl.inner(p * _deformed_normal(u, F), v)
+
+    return _of_kinematics(u, F, density) * measure(ds, "a pressure")
 
 
-def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure) -> ufl.Form:
+def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure, F: Expr | None = None) -> ufl.Form:
     """Potential of a uniform pressure where one exists: p times the volume it pushes back.
 
     p int 1/d x . (J F^-T N) dA,  x = X + u
+    body of revolution: p int r/2 (J F^-T N)_r 2 pi R ds,  r = R + u_r
 
     It is the potential of :func:`follower_pressure` if the loaded boundary is closed, or if its
-    rim cannot move or moves only in planes through the origin (symmetry planes x = 0, y = 0, …).
-    Otherwise its derivative has forces on the rim; use :func:`follower_pressure` there. On a rim in
-    symmetry planes these forces are normal to the planes and change no displacement, but they are
-    part of the planes' reactions: for :func:`forms.resultant` use :func:`follower_pressure`, too.
+    rim cannot move or moves only in planes through the origin (symmetry planes x = 0, y = 0, …), of
+    a body of revolution in any planes z = const. Otherwise its derivative has forces on the rim;
+    use :func:`follower_pressure` there. On a rim in symmetry planes these forces are normal to the
+    planes and change no displacement, but they are part of the planes' reactions: for
+    :func:`forms.resultant` use :func:`follower_pressure`, too.
 
     Args:
         u: Displacement [m], as many components d as the mesh has.
         p: Pressure [Pa], constant in space.
-        ds: Measure of the loaded boundary.
+        ds: Measure of the loaded boundary, as ``body.ds("inner")``.
+        F: Deformation gradient of a body of revolution; by default it is found in the potential
+            that this one is added to.
 
     Raises:
         ValueError: p varies in space, for which no such potential exists.
     """
     p = ufl.as_ufl(p)
-    if extract_coefficients(p) or not is_cellwise_constant(p):
+    if not _is_uniform(p):
         raise ValueError(
-            "a pressure that varies in space has no potential p V: use follower_pressure."
+            "a pressure that varies in space has no potential p V: use follower_pressure. (The "
+            "weight of a body of revolution is put in by pressure_potential itself.)"
         )
     X = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))
     if X.ufl_shape != u.ufl_shape:
@@ -102,8 +130,14 @@ def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure) -> ufl.Form:
             "of a mixed unknown w pass the u of u, p = ufl.split(w)."
         )
     x = X + u
-    density = p / u.ufl_shape[0] * ufl.inner(x, _deformed_normal(u, None))
-    return density * measure(ds, "a pressure")
+
+    def density(F: Expr) -> Expr:
+        normal = _deformed_normal(u, F)
+        if is_axisymmetric(F):
+            return p * x[0] / 2 * normal[0] * circumference(u)
+        return p / u.ufl_shape[0] * ufl.inner(x, normal)
+
+    return _of_kinematics(u, F, density) * measure(ds, "a pressure")
 
 
 def spring(u: Expr, k: Expr, dx: ufl.Measure, direction: Expr | None = None) -> ufl.Form:
@@ -119,12 +153,69 @@ def spring(u: Expr, k: Expr, dx: ufl.Measure, direction: Expr | None = None) -> 
     return k / 2 * stretch2 * measure(dx, "a spring")
 
 
-def _deformed_normal(u: Expr, F: Expr | None) -> Expr:
+class _Alternative(ufl.classes.Label):
+    """Label of a plane load's density that holds the density on a body of revolution."""
+
+    def __init__(self, revolved: Expr) -> None:
+        super().__init__()
+        self.revolved = revolved
+
+
+def _of_kinematics(u: Expr, F: Expr | None, density: Callable[[Expr], Expr]) -> Expr:
+    """Density of a load with F; in the plane, without an F, both that there may be."""
+    if F is not None:
+        return density(F)
+    plane = density(deformation_gradient(u))
+    if u.ufl_shape != (2,):
+        return plane
+    return ufl.classes.Variable(plane, _Alternative(density(axisymmetric(u))))
+
+
+def with_kinematics(*together: Any) -> tuple[Any, ...]:
+    """Forms of one problem, plane loads turned into those of a body of revolution if it is one.
+
+    A load of u alone cannot know; the deformation gradient in the energy beside it does.
+    """
+    labels = {
+        type(node.label())
+        for form in together
+        if isinstance(form, ufl.Form)
+        for node in nodes(form)
+        if isinstance(node, ufl.classes.Variable)
+    }
+    if not {Revolved, _Alternative} <= labels:
+        return together
+    return tuple(
+        map_integrand_dags(_Revolution(), form) if isinstance(form, ufl.Form) else form
+        for form in together
+    )
+
+
+class _Revolution(MultiFunction):
+    """Replace a plane load's density by that on a body of revolution."""
+
+    def expr(self, o: Expr, *operands: Expr) -> Expr:
+        return self.reuse_if_untouched(o, *operands)
+
+    def terminal(self, o: Expr) -> Expr:
+        return o
+
+    def variable(self, o: Expr, operand: Expr, label: Expr) -> Expr:
+        if isinstance(label, _Alternative):
+            return label.revolved
+        return self.reuse_if_untouched(o, operand, label)
+
+
+def _is_uniform(p: Expr) -> bool:
+    return not extract_coefficients(p) and is_cellwise_constant(p)
+
+
+def _deformed_normal(u: Expr, F: Expr) -> Expr:
     """Vector J F^-T N = n da/dA, with as many components as the mesh has."""
     domain = ufl.domain.extract_unique_domain(u)
     dim = u.ufl_shape[0]
     N = ufl.FacetNormal(domain)
     if dim == 2:  # F is 3x3 on plane meshes: its third column and row hold the thickness or hoop.
         N = ufl.as_vector([N[0], N[1], 0])
-    n = ufl.cofac(deformation_gradient(u) if F is None else F) * N
+    n = ufl.cofac(F) * N
     return n if dim == 3 else ufl.as_vector([n[0], n[1]])

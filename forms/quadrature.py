@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Default quadrature degrees, by what an integrand is made of."""
+"""Default quadrature degrees, by what an integrand is made of: one rule wherever forms compile."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import ufl
 from ufl.checks import is_cellwise_constant
 
 from . import _dolfinx
-from .operators.chain import Dependent, Expr
-from .operators.lowering import default_degree
+from .operators.chain import Dependent, Expr, nodes
 
 SIMPLICES = ("interval", "triangle", "tetrahedron")
 _GRADIENTS = (
@@ -23,7 +22,7 @@ _GRADIENTS = (
 _PENDING = (ufl.classes.CoefficientDerivative, ufl.classes.CoordinateDerivative)
 
 
-def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
+def with_quadrature(form: ufl.Form, degree: int | None = None) -> ufl.Form:
     """The form with a quadrature degree on every integral that has none.
 
     Integrals written with ``ufl.dx`` also get the subdomains of those beside them that were written
@@ -32,20 +31,28 @@ def with_quadrature(form: ufl.Form, degree: int) -> ufl.Form:
     Args:
         form: Any form; of a potential before it is differentiated, so that residual and tangent
             get its degree.
-        degree: Degree k of the displacements.
+        degree: Degree k of the displacements; by default that of the functions whose gradients
+            the form contains. Without any, it is no energy, and UFL's estimate is used.
     """
     if not isinstance(form, ufl.Form):
         return form
+    k = _gradient_degree(form) if degree is None else degree
     integrals: list[Any] = []
     subdomains = {
         i.integral_type(): i.subdomain_data() for i in form.integrals() if i.subdomain_data()
     }
     for integral in form.integrals():
         metadata = dict(integral.metadata())
-        metadata.setdefault("quadrature_degree", quadrature_degree(integral, degree))
+        if k:
+            metadata.setdefault("quadrature_degree", quadrature_degree(integral, k))
         data = integral.subdomain_data() or subdomains.get(integral.integral_type())
         integrals.append(integral.reconstruct(metadata=metadata, subdomain_data=data))
     return ufl.Form(integrals)
+
+
+def default_degree(kind: str, k: int) -> int:
+    """Quadrature degree for functions of degree k: 2 k in cells, max(2 k, 3 k - 1) on facets."""
+    return 2 * k if kind == "cell" else max(2 * k, 3 * k - 1)
 
 
 def quadrature_degree(integral: Any, k: int) -> int:
@@ -79,6 +86,8 @@ def _degree(e: Expr, k: int, known: dict[Expr, int]) -> int:
         found = max(0, _degree(e.ufl_operands[0], k, known) - 1)
     elif not e._ufl_is_terminal_:
         found = max((_degree(o, k, known) for o in e.ufl_operands), default=0)
+    elif (operand := _operand(e)) is not None:
+        found = _degree(operand, k, known)
     elif isinstance(e, Dependent):
         found = k
     elif isinstance(e, (ufl.classes.Coefficient, ufl.classes.Argument)):
@@ -87,3 +96,25 @@ def _degree(e: Expr, k: int, known: dict[Expr, int]) -> int:
         found = 0 if is_cellwise_constant(e) else 1
     known[e] = found
     return found
+
+
+def _gradient_degree(e: ufl.Form | Expr) -> int:
+    """Largest degree of the functions whose gradients are inside; 0 where there are none."""
+    found = 0
+    for node in nodes(e):
+        if (operand := _operand(node)) is not None:
+            found = max(found, _gradient_degree(operand))
+        elif isinstance(node, _GRADIENTS):
+            degrees = [c.ufl_element().embedded_superdegree for c in _functions(node)]
+            found = max([found, *degrees])
+    return found
+
+
+def _operand(e: Expr) -> Expr | None:
+    """What an energy in singular values, or a derivative of one, is computed from."""
+    return getattr(getattr(e, "jets", None), "packed", None) if e._ufl_is_terminal_ else None
+
+
+def _functions(e: Expr) -> list[Any]:
+    kinds = (ufl.classes.Coefficient, ufl.classes.Argument)
+    return [node for node in nodes(e) if isinstance(node, kinds)]

@@ -13,13 +13,14 @@ import numpy as np
 import ufl
 from dolfinx import fem, geometry
 from numpy.typing import NDArray
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from .assembly import System
 from .fields import quadrature_degrees
 from .kinematics import Expr
+from .loads import with_kinematics
 from .operators.chain import update_dependents
 from .operators.lowering import compiled as compile_form
 from .supports import is_mixed
@@ -122,11 +123,16 @@ def displacement_of(u: fem.Function) -> fem.Function:
 
 
 def integral(form: ufl.Form) -> float:
-    """Value of a functional, summed over all ranks."""
+    """Value of a functional, summed over all ranks.
+
+    Integrals without a quadrature degree get the default of all that is compiled
+    (:func:`forms.quadrature.with_quadrature`): of a potential it is the value that a solve lowers.
+    """
     if not isinstance(form, ufl.Form):
         raise ValueError(
             f"integral needs a functional, got {type(form).__name__}: integrate a density with dx."
         )
+    (form,) = with_kinematics(form)
     # A component of a cross product, say, that is zero already as an expression.
     if expand_derivatives(form).empty():
         return 0.0
@@ -136,8 +142,15 @@ def integral(form: ufl.Form) -> float:
 
 
 def volume(F: Expr, dx: ufl.Measure) -> float:
-    """Deformed volume int J dV [m^3]; on a plane mesh per unit thickness."""
-    return integral(ufl.det(F) * dx)
+    """Deformed volume int J dV [m^3]; on a plane mesh per unit thickness.
+
+    Exact on straight cells: J is a polynomial, and dx without a degree gets J's.
+    """
+    J = ufl.det(F)
+    if "quadrature_degree" not in dx.metadata():
+        degree = estimate_total_polynomial_degree(expand_derivatives(J))
+        dx = dx(metadata={**dx.metadata(), "quadrature_degree": degree})
+    return integral(J * dx)
 
 
 def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:

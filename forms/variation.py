@@ -14,6 +14,7 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 
 from .kinematics import Expr
+from .loads import with_kinematics
 from .operators.chain import rate
 
 
@@ -41,6 +42,7 @@ def residual(potential: ufl.Form, u: fem.Function) -> ufl.Form:
         ValueError: potential is no functional, or does not depend on u.
     """
     _check(potential, u, 0, "residual needs a potential (a functional of u)")
+    (potential,) = with_kinematics(potential)
     return derivative(potential, u, ufl.TestFunction(u.function_space))
 
 

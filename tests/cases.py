@@ -193,3 +193,14 @@ def agree(found, wanted, digits):
     error = _off(found, wanted)
     recorder.error(error)
     assert error < 10.0**-digits
+
+
+def tube_pressure(inner, outer, a, mu):
+    """Inner pressure of an incompressible neo-Hookean tube in plane strain, inner radius now a.
+
+    sigma_rr' = (sigma_tt - sigma_rr)/r = mu (r^2/R^2 - R^2/r^2)/r with R^2 = r^2 - k,
+    k = a^2 - A^2; integrated from a to b.
+    """
+    k = a**2 - inner**2
+    b = np.sqrt(outer**2 + k)
+    return mu * (np.log(outer / b) - np.log(inner / a) + k / 2 * (1 / a**2 - 1 / b**2))

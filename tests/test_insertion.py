@@ -83,10 +83,11 @@ for name, scene in SCENES.items():
     u, potential, held = scene()
     system = forms.system(potential, u, held)
     V = u.function_space
-    displacement = V.sub(0).collapse()[0] if V.num_sub_spaces and V.dofmap.bs == 1 else V
+    is_mixed = V.num_sub_spaces and V.dofmap.bs == 1
+    displacement = V.sub(0).collapse()[0] if is_mixed else V
     bend = lambda x: 0.05 * np.array([x[0] * x[1], x[1] + x[0], x[0] ** 2])
     count = displacement.num_sub_spaces
-    (u.sub(0) if V.num_sub_spaces and V.dofmap.bs == 1 else u).interpolate(lambda x: bend(x)[:count])
+    (u.sub(0) if is_mixed else u).interpolate(lambda x: bend(x)[:count])
     A = system.create_matrix()
     ours = A.getAttr("variform_insertion") is not None
     ways = {"": False, ", projected": True} if "operator" in name else {"": False}

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Loads: potentials and virtual works agree, tangents are derivatives, signs are right."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import ufl
-from cases import ENERGIES, at_plane, rates, unit_mesh, whole
+from cases import ENERGIES, at_plane, rates, tube_pressure, unit_mesh, whole
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 import forms
+import meshes
 
 
 def facet_measure(mesh, facets):
@@ -129,14 +132,76 @@ def test_axisymmetric_follower_pressure_is_the_volume_derivative(rng):
     sides = np.concatenate([at_plane(mesh, 0, 1.0), at_plane(mesh, 1, 0.0), at_plane(mesh, 1, 1.0)])
     ds = facet_measure(mesh, sides)(metadata={"quadrature_degree": 6})
     v = ufl.TestFunction(u.function_space)
-    work = vector(ring * _density(forms.follower_pressure(u, 1.3, v, ds, F)) * ds)
+    work = vector(forms.follower_pressure(u, 1.3, v, ds, F))
+    weighted = vector(forms.follower_pressure(u, 1.3 * ring, v, ds, F))
+    assert np.abs(work - weighted).max() < 1e-15
     on_axis = fem.locate_dofs_geometrical(u.function_space, lambda x: np.isclose(x[0], 0))
     free = np.setdiff1d(np.arange(len(work)), np.concatenate([2 * on_axis, 2 * on_axis + 1]))
     assert np.abs(work - volume)[free].max() < 1e-12
 
 
-def _density(form):
-    return form.integrals()[0].integrand()
+@pytest.mark.parametrize("given", [False, True])
+def test_axisymmetric_pressure_has_the_volume_as_potential(given, rng):
+    """D potential[v] = p int n . v da where the rim moves in planes z = const, and it is p V.
+
+    Whether F is given, or known from the energy that the load is added to.
+    """
+    mesh = unit_mesh(2, 2)
+    mesh.geometry.x[:, 0] += 0.5
+    u = forms.displacement(mesh)
+    u.x.array[:] = 0.05 * rng.normal(size=u.x.array.size)
+    rims = fem.locate_dofs_geometrical(u.function_space, lambda x: np.abs(x[1] - 0.5) > 0.49)
+    u.x.array[2 * rims + 1] = 0
+    F, ring = forms.axisymmetric(u), forms.circumference(u)
+    energy = forms.energies.neo_hookean(F, 1.0, 2.0) * ring * ufl.dx
+    ds = facet_measure(mesh, at_plane(mesh, 0, 1.5))(metadata={"quadrature_degree": 6})
+    v = ufl.TestFunction(u.function_space)
+    load = forms.pressure_potential(u, 1.3, ds, F if given else None)
+    work = vector(forms.follower_pressure(u, 1.3, v, ds, F))
+    both = forms.compiled(forms.residual(energy + load, u))
+    alone = forms.compiled(forms.residual(energy, u))
+    gradient = fem.assemble_vector(both).array - fem.assemble_vector(alone).array
+    free = np.setdiff1d(np.arange(len(work)), 2 * rims + 1)
+    assert np.abs(gradient - work)[free].max() < 1e-13
+    assert np.abs(work).max() > 0.1
+    # The cylinder between the axis and the surface r = 1.5 + u_r.
+    r = 1.5 + u[0]
+    volume = forms.integral(np.pi * r**2 * (1 + ufl.grad(u)[1, 1]) * ds)
+    value = forms.integral(energy + load) - forms.integral(energy)
+    assert value == pytest.approx(1.3 * volume, rel=1e-12)
+
+
+PRESSURES = {
+    "potential": lambda u, p, v, ds, F: (forms.pressure_potential(u, p, ds), None),
+    "potential with F": lambda u, p, v, ds, F: (forms.pressure_potential(u, p, ds, F), None),
+    "work": lambda u, p, v, ds, F: (0, forms.follower_pressure(u, p, v, ds)),
+    "work with F": lambda u, p, v, ds, F: (0, forms.follower_pressure(u, p, v, ds, F)),
+}
+
+
+@pytest.mark.parametrize("way", PRESSURES)
+def test_a_thick_tube_is_blown_up_by_each_pressure(way):
+    """Mooney-Rivlin 80, 20 (mu = 200), radii 7 and 18.625, p = 100: the inner grows by 3.2115."""
+    body = meshes.block(
+        MPI.COMM_SELF, (11.625, 1.0), n=(16, 1), cells="quadrilateral", origin=(7.0, 0)
+    )
+    w, t = forms.displacement_pressure(body), forms.load_factor(body)
+    (u, p), v = ufl.split(w), ufl.split(ufl.TestFunction(w.function_space))[0]
+    F = forms.axisymmetric(u)
+    psi = forms.energies.with_pressure(forms.energies.mooney_rivlin(F, 80.0, 20.0), F, p)
+    load, work = PRESSURES[way](u, 100 * t, v, body.ds("left"), F)
+    path = forms.follow(
+        psi * forms.circumference(u) * ufl.dx + load,
+        w,
+        [forms.roller(w, body.facets("bottom", "top"), 1)],
+        t,
+        virtual_work=work,
+        progress=False,
+    )
+    grown = forms.at(forms.displacement_of(path.u), (7.0, 0.5))[0]
+    assert grown == pytest.approx(3.2115, abs=5e-5)
+    # 16 elements of degree 2: 2e-7.
+    assert tube_pressure(7.0, 18.625, 7.0 + grown, 200.0) == pytest.approx(100, rel=1e-6)
 
 
 def test_bad_loads_are_refused():

@@ -222,7 +222,7 @@ def test_fields_and_integrals_of_stress(rng):
         for psi in (operator, plain)
     ]
     assert c[0] == pytest.approx(c[1], rel=1e-11)
-    value = forms.integral(plain * ufl.dx(degree=4))
+    value = forms.integral(plain * ufl.dx(degree=2))  # as the solver integrates
     assert forms.integral(operator * ufl.dx) == pytest.approx(value, rel=1e-12)
 
 

@@ -125,3 +125,42 @@ def test_order_of_convergence_stays(k):
         errors.append(np.abs(np.diff(found)))
     rates = [np.log2(e[0] / e[1]) for e in errors]
     assert rates[0] > min(rates[1], 2 * k - 2) - 0.3
+
+
+ROUGH = {
+    "neo_hookean": lambda u, F: energies.neo_hookean(F, 1.0, 2.0) * ufl.dx,
+    "fixed_corotated": lambda u, F: energies.fixed_corotated(F, 1.0, 2.0) * ufl.dx,
+    "loaded": lambda u, F: (
+        energies.stable_neo_hookean(F, 1.0, 2.0) * ufl.dx
+        + forms.body_force(u, ufl.SpatialCoordinate(u.function_space.mesh))
+        + forms.spring(u, 1.0, ufl.ds)
+    ),
+}
+
+
+@pytest.mark.parametrize("cells", ["tetrahedron", "quadrilateral"])
+@pytest.mark.parametrize("case", ROUGH)
+def test_one_rule_wherever_a_form_is_compiled(case, cells, rng):
+    """At a rough state, where rules differ by 1e-3: system, integral and compiled agree."""
+    u = forms.displacement(body(cells), 2)
+    u.x.array[:] = 0.02 * rng.standard_normal(u.x.array.size)
+    potential = ROUGH[case](u, forms.deformation_gradient(u))
+    system = forms.system(potential, u)
+    assert forms.integral(potential) == pytest.approx(system.energy(), rel=1e-14)
+    b = system.create_vector()
+    system.residual(b)
+    compiled = fem.assemble_vector(forms.compiled(forms.residual(potential, u))).array
+    assert np.abs(compiled - b.array).max() < 1e-13 * np.abs(b.array).max()
+    finer = {"quadrature_degree": 6}
+    fine = ufl.Form([i.reconstruct(metadata=finer) for i in potential.integrals()])
+    assert abs(forms.integral(fine) / system.energy() - 1) > 1e-6
+
+
+def test_a_volume_is_exact(rng):
+    """J of P2 has degree 3, above the default of energies: volume() asks for it."""
+    u = forms.displacement(body("tetrahedron"), 2)
+    u.x.array[:] = 0.02 * rng.standard_normal(u.x.array.size)
+    F = forms.deformation_gradient(u)
+    exact = forms.volume(F, ufl.dx(degree=3))
+    assert forms.volume(F, ufl.dx(u.function_space.mesh)) == pytest.approx(exact, rel=1e-14)
+    assert abs(forms.integral(ufl.det(F) * ufl.dx) / exact - 1) > 1e-9

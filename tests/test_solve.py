@@ -6,7 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import ufl
-from cases import at_plane, bending, rates, unit_mesh, whole
+from cases import at_plane, bending, rates, tube_pressure, unit_mesh, whole
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.optimize import brentq
@@ -106,17 +106,6 @@ def psi_F(psi):
     from ufl.corealg.traversal import unique_pre_traversal
 
     return next(e for e in unique_pre_traversal(psi) if isinstance(e, ufl.classes.Variable))
-
-
-def tube_pressure(inner, outer, a, mu):
-    """Inner pressure of an incompressible neo-Hookean tube in plane strain, inner radius now a.
-
-    sigma_rr' = (sigma_tt - sigma_rr)/r = mu (r^2/R^2 - R^2/r^2)/r with R^2 = r^2 - k,
-    k = a^2 - A^2; integrated from a to b.
-    """
-    k = a**2 - inner**2
-    b = np.sqrt(outer**2 + k)
-    return mu * (np.log(outer / b) - np.log(inner / a) + k / 2 * (1 / a**2 - 1 / b**2))
 
 
 def test_tube_inflation_converges_to_the_closed_form():

@@ -48,8 +48,8 @@ void singular_values(int rows, int cols, int plane, int improper, long n, const 
 void projection_set(void *factorize, void *eigen);
 extern const tabulate_t kernels[64];
 typedef struct {
-  int cells, owned, size, nodes; const int32_t *numbers; const int16_t *places; const int32_t *rows[3];
-  double *values[3]; const int8_t *held;
+  int cells, owned, size, nodes; const int32_t *numbers; const int16_t *places;
+  const int32_t *rows[3]; double *values[3]; const int8_t *held;
 } target_t;
 typedef struct {
   tabulate_t kernel; int facets; long count; const int32_t *entities; int width;

@@ -37,8 +37,8 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
     """Compile a form, with or without energies in singular values. Collective.
 
     Args:
-        form: Functional, linear or bilinear form. Integrals of such energies that have no
-            quadrature degree get :func:`default_degree` of the functions in their operand.
+        form: Functional, linear or bilinear form. Integrals without a quadrature degree get that
+            of :func:`forms.quadrature.with_quadrature`.
         project: Make the tangent positive semi-definite: second derivatives of operators at each
             point, and the matrices of cells and facets where other terms take part.
 
@@ -47,19 +47,16 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
             or a measure that lists entities which the mesh does not have.
         RuntimeError: the compiler is missing or failed.
     """
+    from ..quadrature import with_quadrature
+
     form = expand_derivatives(expanded(form))
     if form.empty():
         raise ValueError("the form is zero: does it depend on what it was differentiated by?")
-    form = with_owned_entities(form)
+    form = with_quadrature(with_owned_entities(form))
     jets = [c for c in form.coefficients() if isinstance(c, Jet)]
     if not jets and not project:
         return _plain(form)
     return _Lowering(form, project).form()
-
-
-def default_degree(kind: str, k: int) -> int:
-    """Quadrature degree for functions of degree k: 2 k in cells, max(2 k, 3 k - 1) on facets."""
-    return 2 * k if kind == "cell" else max(2 * k, 3 * k - 1)
 
 
 def _plain(form: ufl.Form) -> fem.Form:
@@ -210,6 +207,8 @@ class _Lowering:
         """The integral's metadata with a quadrature degree."""
         functions = [c for jet in jets for c in extract_coefficients(jet.jets.packed)]
         degree = max((c.ufl_element().embedded_superdegree for c in functions), default=1)
+        from ..quadrature import default_degree
+
         default = default_degree(integral.integral_type(), max(degree, 1))
         given = integral.metadata().get("quadrature_degree")
         chosen = given if isinstance(given, int) and given >= 0 else default

@@ -24,6 +24,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
 from ..assembly import displacement_degree, system
+from ..loads import with_kinematics
 from ..operators.chain import dependents, expanded
 from ..operators.jets import Jet
 from ..operators.lowering import compiled
@@ -88,6 +89,7 @@ class Bordered:
         self.system = system(potential, u, supports, virtual_work)
         self.q, self.rtol, self.ctol, self.most = q, rtol, ctol, max_iterations
         self.degree = displacement_degree(u)
+        potential, virtual_work = with_kinematics(potential, virtual_work)
         R = residual(with_quadrature(potential, self.degree), u)
         if virtual_work is not None:
             R += with_quadrature(virtual_work, self.degree)
