@@ -3,18 +3,28 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
 from ._dolfinx import from_gmsh_order
 from ._grid import Grid
 
-__all__ = ["extract", "generate", "merge", "name_entities", "require_groups", "session", "set_size"]
+__all__ = [
+    "extract",
+    "generate",
+    "gmsh",
+    "merge",
+    "name_entities",
+    "require_groups",
+    "session",
+    "set_size",
+]
 
 # gmsh's element types that DOLFINx knows: the cell's name and its order.
 CELLS = {
@@ -56,6 +66,23 @@ OPTIONS = {
 }
 
 _numbers = count(1)
+
+
+class _Gmsh:
+    """The module gmsh, imported when it is first used: bodies from XDMF go without."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            module = import_module("gmsh")
+        except ImportError as error:
+            raise ImportError(
+                f"this body is meshed or read by gmsh, which cannot be imported ({error}): install "
+                "Debian's python3-gmsh or variform's extra 'meshes', or read an .xdmf."
+            ) from error
+        return getattr(module, name)
+
+
+gmsh = _Gmsh()
 
 
 @contextmanager

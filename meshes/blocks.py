@@ -6,10 +6,8 @@ from math import ceil, prod
 
 from mpi4py import MPI
 
-import gmsh
-
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, name_entities, session, set_size
+from ._gmsh import extract, generate, gmsh, name_entities, session, set_size
 from ._grid import Grid
 from .body import Body, distribute
 

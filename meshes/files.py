@@ -7,11 +7,10 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
 
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, merge, name_entities, require_groups, session, set_size
+from ._gmsh import extract, generate, gmsh, merge, name_entities, require_groups, session, set_size
 from ._grid import Grid
 from ._xdmf import read_xdmf
 from .body import Body, distribute

@@ -6,12 +6,11 @@ from math import inf, pi
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
 from numpy.typing import NDArray
 
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, name_entities, session, set_size
+from ._gmsh import extract, generate, gmsh, name_entities, session, set_size
 from ._grid import Grid
 from .body import Body, distribute
 

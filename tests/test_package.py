@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The package as a user meets it: README, wheel, versions, imports."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -91,6 +92,58 @@ def test_the_wheel_works_outside_the_checkout(tmp_path):
     )
     where, version = done.stdout.split()
     assert where.startswith(str(venv)) and version == PROJECT["project"]["version"]
+
+
+WITHOUT = """
+import sys
+sys.modules["gmsh"] = sys.modules["slepc4py"] = None  # as if they were not installed
+from mpi4py import MPI
+from dolfinx import io, mesh
+import ufl
+import forms, meshes
+
+square = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+with io.XDMFFile(MPI.COMM_WORLD, "square.xdmf", "w") as file:
+    file.write_mesh(square)
+print(meshes.read(MPI.COMM_WORLD, "square.xdmf").mesh.topology.dim, "dimensions")
+u = forms.displacement(square)
+psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+for call in (lambda: meshes.block(MPI.COMM_WORLD, (1.0, 1.0), n=2),
+             lambda: forms.lowest_modes(forms.system(psi * ufl.dx, u))):
+    try:
+        call()
+    except ImportError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_extras_are_needed_where_they_are_used_only(run, tmp_path, ranks):
+    """Without gmsh and SLEPc both packages import and read XDMF; what needs one says how to get."""
+    (tmp_path / "script.py").write_text(WITHOUT)
+    said = run(tmp_path / "script.py", cwd=tmp_path, ranks=ranks).stdout
+    for words in ("dimensions", "is meshed or read by gmsh, which", "lowest_modes needs slepc4py,"):
+        assert said.count(words) == ranks
+
+
+def test_every_import_is_declared():
+    """What the packages import is a dependency or in an extra of pyproject.toml."""
+    project = PROJECT["project"]
+    extras = [name for names in project["optional-dependencies"].values() for name in names]
+    declared = {re.match(r"[\w-]+", name)[0] for name in project["dependencies"] + extras}
+    declared = {name.removeprefix("fenics-") for name in declared}
+    # Parts of DOLFINx's own dependencies, and of Python's library.
+    declared |= {"basix", "ffcx", *sys.stdlib_module_names}
+    found = {}
+    for top in ("forms", "meshes"):
+        for file in (ROOT / top).glob("**/*.py"):
+            for node in ast.walk(ast.parse(file.read_text())):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and not node.level:
+                    names = [node.module]
+                found |= {name.split(".")[0]: file for name in names}
+    assert {"gmsh", "slepc4py", "tqdm"} <= declared
+    assert {name: file for name, file in found.items() if name not in declared} == {}
 
 
 def test_another_dolfinx_is_refused_in_one_sentence(tmp_path):

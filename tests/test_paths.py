@@ -412,3 +412,22 @@ def test_petsc_s_own_arc_length_finds_the_same_path():
     inside_ours = theirs[:, 0] > crowns[-1]
     on_path = np.interp(-theirs[inside_ours, 0], -crowns, loads)
     assert np.abs(theirs[inside_ours, 1] - on_path).max() < 0.01 * loads.max()
+
+
+def test_a_path_speaks_of_its_own_solver_and_start():
+    """No SNES is named where none is used, and before the first step load is where it begins."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+    u, q = forms.displacement(body), forms.load_factor(body)
+    q.value = 0.7
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    load = forms.dead_traction(u, ufl.as_vector([q, 0 * q]), body.ds("right"))
+    held = [forms.clamp(u, body.facets("left"))]
+    with pytest.raises(forms.NotConverged, match=r"^Newton's method stopped after 0 it") as failed:
+        forms.arc_length(
+            psi + load, u, held, q, step=0.1, to=0.9, max_iterations=0, progress=False
+        )
+    assert failed.value.path.load == 0.7
+    with pytest.raises(forms.NotConverged, match="^SNES stopped after 1 iterations") as failed:
+        limit = {"snes_max_it": 1, "snes_rtol": 1e-14}
+        forms.follow(psi + load, u, held, q, 0.9, options=limit, progress=False)
+    assert failed.value.path.load == 0.7 == q.value

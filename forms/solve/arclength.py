@@ -91,7 +91,7 @@ def arc_length(
     _check(step, to, steps, until, largest, float(getattr(q, "value", 0.0)))
     check_record(record)
     problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    path, start = Path(u, problem.system), time.perf_counter()
+    path, start = Path(u, problem.system, begin=problem.load), time.perf_counter()
     before, load = u.x.array.copy(), problem.load
     bar = bar_of("arc length", None, problem.system.comm, progress)
     plane, ended = _Plane(problem, along), ""

@@ -160,6 +160,7 @@ class Bordered:
             correction=float(correction),
             residuals=tuple(residuals),
             negative=negative,
+            solver="Newton's method",
         )
 
     def tangent(self) -> int | None:

@@ -164,7 +164,7 @@ def follow(
         )
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
     newton = Newton(problem, options, prefix, rtol, ctol, projection)
-    path, start = Path(u, problem), time.perf_counter()
+    path, start = Path(u, problem, begin=float(t.value)), time.perf_counter()
     bar = bar_of("load", 1.0, problem.comm, progress)
     past, reached = [_State(u.x.array.copy(), walk.done)], float(t.value)
 

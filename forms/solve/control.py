@@ -73,7 +73,7 @@ def control(
     check_record(record)
     problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
     held = _Held(problem, functional)
-    path, start = Path(u, problem.system), time.perf_counter()
+    path, start = Path(u, problem.system, begin=problem.load), time.perf_counter()
     reached = held.measure()
     before, load = u.x.array.copy(), problem.load
     bar = bar_of("control", len(targets), problem.system.comm, progress)

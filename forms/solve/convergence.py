@@ -46,6 +46,7 @@ class Convergence:
         negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
             is stable; None where it is not known (multigrid, LU, projected, damped tangents).
         tried: Ways that were taken in turn, the last one to this end, as "full tangent", "|R|".
+        solver: Whose iterations these are, in words.
     """
 
     converged: bool
@@ -60,6 +61,7 @@ class Convergence:
     residuals: tuple[float, ...] = ()
     negative: int | None = None
     tried: tuple[str, ...] = ()
+    solver: str = "SNES"
 
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
@@ -70,6 +72,7 @@ class Convergence:
         # There is no last correction where no iteration was made.
         last = f", last correction {self.correction:.1e}" if isfinite(self.correction) else ""
         return (
-            f"SNES {verb} after {self.iterations} iterations{projected}{ways} ({self.reason}), "
-            f"|R| = {self.residual:.1e} at a force level of {self.force_level:.1e}{last}"
+            f"{self.solver} {verb} after {self.iterations} iterations{projected}{ways} "
+            f"({self.reason}), |R| = {self.residual:.1e} at a force level of "
+            f"{self.force_level:.1e}{last}"
         )

@@ -38,6 +38,7 @@ class Path:
         completed: Whether the last load asked for was reached.
         seconds: Wall time of the path [s].
         resumed: Load of the checkpoint that the path was taken up from, if any.
+        begin: Load factor that the path begins at.
     """
 
     u: fem.Function
@@ -48,11 +49,12 @@ class Path:
     completed: bool = False
     seconds: float = 0.0
     resumed: float | None = None
+    begin: float = 0.0
 
     @property
     def load(self) -> float:
-        """Last converged load factor."""
-        return self.steps[-1].load if self.steps else 0.0
+        """Last converged load factor; the first one while there is no step."""
+        return self.steps[-1].load if self.steps else self.begin
 
     def record(self, name: str) -> np.ndarray:
         """A recorded quantity over the steps, shape (steps, ...)."""

@@ -60,15 +60,21 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
 
     Raises:
         ValueError: no potential of displacements alone, or n below 1.
+        ImportError: slepc4py is missing.
     """
-    from slepc4py import SLEPc
-
     system = getattr(system, "system", system)
     _check_symmetric(system)
     if is_mixed(system.u.function_space):
         raise ValueError("lowest_modes needs a displacement unknown, got a mixed one.")
     if not n >= 1:
         raise ValueError(f"lowest_modes needs n >= 1 modes, got {n}.")
+    try:
+        from slepc4py import SLEPc
+    except ImportError as error:
+        raise ImportError(
+            "lowest_modes needs slepc4py, which is not installed: install Debian's "
+            "python3-slepc4py, or variform's extra 'modes' beside a SLEPc of PETSc's version."
+        ) from error
     A = system.create_matrix()
     system.tangent(A)
     free = np.setdiff1d(np.arange(A.getLocalSize()[0]), system.constrained)
