@@ -55,6 +55,12 @@ def values(A: PETSc.Mat) -> list[NDArray[np.float64]]:
     return arrays
 
 
+def said(error: PETSc.Error) -> str:
+    """What PETSc says of an error, in one line."""
+    words = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+    return f"PETSc's error {error.ierr}: {words}"
+
+
 def option_was_used(name: str) -> bool:
     """Whether PETSc has asked for an option of this whole name, prefix included."""
     used = ctypes.c_int(0)

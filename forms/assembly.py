@@ -38,6 +38,7 @@ class System:
             alone, with no load that is a virtual work.
         symmetric: Whether the tangent is symmetric.
         constants: Constants in the forms.
+        potential: Total potential, or residual, that all of it was derived from.
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
     """
 
@@ -51,6 +52,7 @@ class System:
     _tangent_form: ufl.Form
     _dependents: list[Dependent]
     constants: tuple[fem.Constant, ...]
+    potential: ufl.Form
     constrained: NDArray[np.int32] = field(init=False)
     _projected: fem.Form | None = field(init=False, default=None)
 
@@ -244,6 +246,7 @@ def system(
         _tangent_form=K,
         _dependents=[c for c in found if not isinstance(c, Jet)],
         constants=tuple(c for part in parts for c in extract_constants(part)),
+        potential=potential,
     )
 
 

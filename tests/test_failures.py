@@ -491,3 +491,120 @@ def test_three_fields_count_one_negative_eigenvalue_per_multiplier():
     ]
     path = forms.solve((psi + p * (ufl.det(F) - Jt)) * ufl.dx, w, held)
     assert path.steps[0].convergence.negative == 0 == forms.negative_eigenvalues(path)
+
+
+SLACK = {
+    "max_value": lambda x: ufl.max_value(x, 0) ** 1.5,
+    "scaled": lambda x: 2**1.5 * (ufl.max_value(0, x) / 2) ** 1.5,
+    "conditional": lambda x: ufl.conditional(ufl.gt(x, 0), x, 0) ** 1.5,
+    "conditional, >=": lambda x: ufl.conditional(ufl.ge(x, 0), x, 0) ** 1.5,
+    "root": lambda x: ufl.sqrt(ufl.max_value(x, 0) ** 3),
+    "|x|": lambda x: ((x + abs(x)) / 2) ** 1.5,
+}
+
+
+def fibered(power, n=2):
+    """Unit cube between rollers, pressed along its fiber to 0.9; lateral faces free."""
+    body = meshes.block(MPI.COMM_WORLD, (1.0, 1.0, 1.0), n=(n, n, n))
+    u, t = forms.displacement(body), forms.load_factor(body)
+    F = forms.deformation_gradient(u)
+    I4, _ = forms.fiber_invariants(F, ufl.as_vector([1, 0, 0]))
+    psi = forms.energies.neo_hookean(F, 1.0, 10.0) + power(I4 - 1)
+    sides = ("left", "front", "bottom")
+    held = [forms.roller(u, body.facets(name), axis) for axis, name in enumerate(sides)]
+    held.append(forms.translate(u, body.facets("right"), (-0.1 * t, None, None)))
+    return body, psi * ufl.dx, u, held, t
+
+
+@pytest.mark.parametrize("call", ["solve", "follow"])
+@pytest.mark.parametrize("case", SLACK)
+def test_a_slack_fiber_has_a_tangent(case, call):
+    """Powers below 2 of what is 0 in compression, inf * 0 for UFL: the fiber is slack.
+
+    The cube is that without one: mu (s^2 - 1) + lmbda ln(0.9 s^2) = 0, lateral stretch s.
+    """
+    body, potential, u, held, t = fibered(SLACK[case])
+    if call == "solve":
+        t.value = 1.0
+        path = forms.solve(potential, u, held)
+    else:
+        path = forms.follow(potential, u, held, t, progress=False)
+    s = 1 + forms.at(u, (1.0, 1.0, 1.0))[1]
+    assert s == pytest.approx(1.0488326289, abs=1e-9)
+    assert s**2 - 1 + 10 * np.log(0.9 * s**2) == pytest.approx(0, abs=1e-9)
+    force, _ = forms.resultant(path, body.facets("right"))
+    assert abs(force[0]) == pytest.approx(0.3222776482, abs=1e-9)
+
+
+def test_branches_are_moved_out_of_powers_only_where_they_must():
+    """Whole powers, exponentials and powers of other things stay what they are; values stay."""
+    from forms.operators.chain import with_branches_outside
+
+    mesh = unit_mesh(2)
+    x = fem.Constant(mesh, 0.0)
+    for kept in (ufl.max_value(x, 0) ** 2, ufl.exp(ufl.max_value(x, 0)), x**1.5, abs(x)):
+        assert with_branches_outside(kept) == kept
+    moved = [
+        (ufl.max_value(2 * x, x / 3) ** 1.5, lambda v: max(2 * v, v / 3) ** 1.5 if v > 0 else None),
+        (ufl.min_value(x, 1) ** 0.5, lambda v: min(v, 1) ** 0.5 if v > 0 else None),
+        (ufl.sqrt(3 + abs(x)), lambda v: np.sqrt(3 + abs(v))),
+        ((x + abs(x)) ** 1.5, lambda v: (v + abs(v)) ** 1.5),
+        ((abs(x) - x) ** 1.5, lambda v: (abs(v) - v) ** 1.5),
+        (ufl.conditional(ufl.lt(x, 0), 5, 1 + x) ** 1.5, lambda v: (5 if v < 0 else 1 + v) ** 1.5),
+    ]
+    for expression, right in moved:
+        other = with_branches_outside(expression)
+        assert isinstance(other, ufl.classes.Conditional)
+        for value in (-2.0, -0.5, 0.0, 0.5, 2.0):
+            wanted = right(value)
+            if wanted is not None:
+                assert other((), mapping={x: value}) == pytest.approx(wanted, rel=1e-15)
+
+
+@pytest.mark.parametrize("call", ["solve", "follow", "arc_length", "negative_eigenvalues"])
+def test_a_second_derivative_that_is_infinite_is_named(call):
+    """|x|**1.5 at x = 0: the summand, the place, and what to do; nothing of PETSc's own."""
+    body, potential, u, held, t = fibered(lambda x: abs(x) ** 1.5)
+    place = r"\(0\.\d+, 0\.\d+, 0\.\d+\)"
+    named = rf"the second derivative of the summand .*1\.5.* is not finite at {place}"
+    with pytest.raises((forms.NotConverged, ValueError), match=named) as failed:
+        if call == "solve":
+            t.value = 1.0
+            forms.solve(potential, u, held)
+        elif call == "follow":
+            forms.follow(potential, u, held, t, progress=False)
+        elif call == "arc_length":
+            load = forms.dead_traction(u, ufl.as_vector([t, 0, 0]), body.ds("right"))
+            forms.arc_length(potential + load, u, held[:3], t, step=0.1, progress=False)
+        else:
+            forms.negative_eigenvalues(forms.system(potential, u, held))
+    assert "Write the energy so that its second derivative exists there" in str(failed.value)
+    assert "in steps" not in str(failed.value)
+    assert np.all(u.x.array == 0)
+
+
+def test_what_petsc_raises_is_a_sentence():
+    """Options that PETSc does not know, and a linear solver told to raise."""
+    with pytest.raises(ValueError, match=r"PETSc refused its options, .*error 86: .* PC type gmag"):
+        bending(options={"pc_type": "gmag"})
+    options = {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 2}
+    raising = {**options, "ksp_error_if_not_converged": None}
+    with pytest.raises(forms.NotConverged, match="linear solver failed|PETSc's error"):
+        bending(options=raising, min_step=0.09)
+    path, _ = bending()  # and nothing is left of it
+    assert path.completed
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_stiff_springs_set_the_rounding_floor(degree):
+    """K = 1e9 between a body and a place that moves: eps k u is what a force can be known to."""
+    body = meshes.block(MPI.COMM_WORLD, (1.0, 1.0, 1.0), n=(2, 2, 2))
+    t, u = forms.load_factor(body), forms.displacement(body, degree)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 10.0)
+    moved = ufl.as_vector([0.3, 0.2, 0.1])
+    spring = forms.spring(u - t * moved, 1e9, body.ds("bottom"))
+    held = [forms.translate(u, body.facets("top"), (0.3 * t, 0.1 * t, 0.2 * t))]
+    path = forms.follow(psi * ufl.dx + spring, u, held, t, progress=False)
+    assert path.refused == 0 and len(path.steps) == 6
+    assert max(s.convergence.iterations for s in path.steps) <= 4
+    assert forms.at(u, (0.5, 0.5, 0.0)) == pytest.approx([0.3, 0.2, 0.1], abs=1e-9)

@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import ufl
 from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.map_integrands import map_integrand_dags
+from ufl.checks import is_cellwise_constant
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
@@ -138,6 +139,96 @@ def expanded(expression: Expr) -> Expr:
     return map_expr_dag(_Expansion(), ufl.as_ufl(expression))
 
 
+class _BranchesOutside(MultiFunction):
+    """Move the branches of a base or radicand outside, where a derivative is one of each branch."""
+
+    def expr(self, o: Expr, *operands: Expr) -> Expr:
+        return self.reuse_if_untouched(o, *operands)
+
+    def terminal(self, o: Expr) -> Expr:
+        return o
+
+    def power(self, o: Expr, base: Expr, exponent: Expr) -> Expr:
+        whole = isinstance(exponent, ufl.classes.IntValue) and int(exponent) >= 0
+        return self._outside(o, base, lambda x: x**exponent, plain=whole, rest=(exponent,))
+
+    def sqrt(self, o: Expr, radicand: Expr) -> Expr:
+        return self._outside(o, radicand, ufl.sqrt)
+
+    def _outside(
+        self, o: Expr, e: Expr, function: Any, plain: bool = False, rest: tuple[Expr, ...] = ()
+    ) -> Expr:
+        found = None if plain else _branches(e)
+        if found is None:
+            return self.reuse_if_untouched(o, e, *rest)
+        condition, first, second = found
+        return ufl.conditional(condition, function(first), function(second))
+
+
+def _branches(e: Expr) -> tuple[Expr, Expr, Expr] | None:
+    """Condition and branches of an expression that is one or the other; None if it is none.
+
+    Where both are equal it is the constant one, whose derivatives are 0.
+    """
+    if not e.ufl_operands:
+        return None
+    a, *b = e.ufl_operands
+    if isinstance(e, ufl.classes.MaxValue | ufl.classes.MinValue):
+        is_a = ufl.gt if isinstance(e, ufl.classes.MaxValue) else ufl.lt
+        first, second = (b[0], a) if is_cellwise_constant(a) else (a, b[0])
+        return is_a(first, second), first, second
+    if isinstance(e, ufl.classes.Conditional):
+        return _strict(a, b[0], b[1]), b[0], b[1]
+    if isinstance(e, ufl.classes.Abs):
+        return ufl.gt(a, 0), a, -a
+    if isinstance(e, ufl.classes.Sum) and (found := _branches(b[0])):
+        return found[0], _sum(a, found[1]), _sum(a, found[2])
+    if isinstance(e, ufl.classes.Sum) and (found := _branches(a)):
+        return found[0], _sum(found[1], b[0]), _sum(found[2], b[0])
+    if isinstance(e, ufl.classes.Product) and (found := _branches(b[0])):
+        return found[0], a * found[1], a * found[2]
+    if isinstance(e, ufl.classes.Product) and (found := _branches(a)):
+        return found[0], found[1] * b[0], found[2] * b[0]
+    if isinstance(e, ufl.classes.Division) and (found := _branches(a)):
+        return found[0], found[1] / b[0], found[2] / b[0]
+    if isinstance(e, ufl.classes.Power) and (found := _branches(a)):
+        return found[0], found[1] ** b[0], found[2] ** b[0]
+    return None
+
+
+def _strict(condition: Expr, first: Expr, second: Expr) -> Expr:
+    """X > y for x >= y where that chooses between x - y and 0, which are equal at x = y."""
+    if isinstance(condition, ufl.classes.GE | ufl.classes.LE) and second == 0:
+        x, y = condition.ufl_operands
+        if isinstance(condition, ufl.classes.GE) and first in (x - y, -(y - x)):
+            return ufl.gt(x, y)
+        if isinstance(condition, ufl.classes.LE) and first in (y - x, -(x - y)):
+            return ufl.lt(x, y)
+    return condition
+
+
+def _sum(a: Expr, b: Expr) -> Expr:
+    """A + b, 0 where one is minus the other, as in x + |x| where x < 0."""
+    return ufl.as_ufl(0) if a == -b or b == -a else a + b
+
+
+def with_branches_outside(expression: Expr) -> Expr:
+    """The same value, ``max_value(x, 0)**1.5`` as ``conditional(x > 0, x**1.5, 0)``.
+
+    UFL differentiates the former to 0.75 max_value(x, 0)**-0.5 (x > 0 ? 1 : 0)^2, inf times 0 where
+    x < 0, and the latter branch by branch. Bases of powers and radicands, times whatever factors.
+    """
+    kinds = ufl.classes
+    switches = (kinds.MaxValue, kinds.MinValue, kinds.Conditional, kinds.Abs)
+    if not contains(expression, switches) or not contains(
+        expression, (ufl.classes.Power, ufl.classes.Sqrt)
+    ):
+        return expression
+    if isinstance(expression, ufl.Form):
+        return map_integrand_dags(_BranchesOutside(), expression)
+    return map_expr_dag(_BranchesOutside(), ufl.as_ufl(expression))
+
+
 def dependents(form: ufl.Form | Expr) -> list[Dependent]:
     """Coefficients of a form or expression that depend on the unknown, in their order."""
     return [c for c in extract_coefficients(form) if isinstance(c, Dependent)]
@@ -155,7 +246,7 @@ def rate(expression: Expr, u: Any, du: Expr) -> Expr:
     With coefficients c_k of u in it, it is the derivative in (u, c_1, ..) in the directions
     (du, c_1'[du], ..). Derivative nodes inside are left for UFL to expand.
     """
-    expression = expanded(expression)
+    expression = with_branches_outside(expanded(expression))
     chained = dependents(expression)
     if not chained:
         return ufl.derivative(expression, u, du)
@@ -174,7 +265,7 @@ def diff(expression: Expr, variable: Expr) -> Expr:
     Returns:
         Derivative, shape of the expression followed by that of the variable.
     """
-    expression = expanded(expression)
+    expression = with_branches_outside(expanded(expression))
     total = expand_derivatives(ufl.diff(expression, variable))
     for jet in [c for c in extract_coefficients(expression) if hasattr(c, "slope")]:
         stand_in = ufl.variable(jet)

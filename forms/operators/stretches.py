@@ -24,6 +24,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
 from .. import _jit
+from .chain import with_branches_outside
 
 Expr = Any  # UFL ships no types
 
@@ -62,6 +63,7 @@ class StretchFunction:
         probe = ufl.Constant(NOWHERE, shape=(n,))
         try:
             psi = expand_derivatives(ufl.as_ufl(psi_hat(*(probe[i] for i in range(n)))))
+            psi = with_branches_outside(psi)
         except TypeError as error:
             raise ValueError(
                 f"{name} failed on UFL scalars ({error}): write it with ufl.ln, ufl.exp, .., not "

@@ -107,7 +107,9 @@ def arc_length(
     try:
         outcome = problem.solve(_Load(problem, load))  # where the start is not in equilibrium
         if not outcome.converged:
-            raise failure(path, f"{outcome.sentence()}, at the start, q = {load:.6g}.")
+            raise failure(
+                path, f"{outcome.sentence()}, at the start, q = {load:.6g}.", outcome.advice
+            )
         before = u.x.array.copy()
         length = plane.first(step)
         least = SHORTEST * length
@@ -153,6 +155,7 @@ def arc_length(
                     path,
                     f"{outcome.sentence()}, at q = {load:.6g} even for a step of {SHORTEST:g} of "
                     "the first one. The last converged state is kept.",
+                    outcome.advice,
                 )
     finally:
         plane.destroy()
@@ -203,6 +206,11 @@ class _Plane:
         norm = self._take(problem.du_q, -1.0)
         if norm == 0:
             raise ValueError("the load does not move the body: nothing to follow.")
+        if not np.isfinite(norm):
+            raise ValueError(
+                "the tangent at the start could not be factorized: is the body held, and the "
+                "energy's second derivative finite there?"
+            )
         length, self.slope = abs(step) * norm, 1 / norm
         if self._along is not None:
             self._turn(self._along.x.array)

@@ -34,6 +34,7 @@ from ..variation import residual
 from . import linear
 from .convergence import Convergence
 from .damping import Damping
+from .finite import ADVICE, not_finite
 from .options import SolverOptions
 from .scaling import Scaled
 from .stability import inertia
@@ -121,6 +122,7 @@ class Bordered:
             self.damping.restart()
         correction, level, residuals = np.inf, 0.0, []
         reason, converged, iteration, negative = "the iterations were used up", False, 0, None
+        advice = ""
         for iteration in range(self.most + 1):
             reactions = self.scaled.residual(self.R)
             self.assemble(self._R_q, self.R_q)
@@ -131,7 +133,7 @@ class Bordered:
             if not np.isfinite(residuals[-1] + off):
                 reason = "the state is not finite"
                 break
-            small = residuals[-1] <= max(self.rtol * level, self.scaled.rounding)
+            small = residuals[-1] <= max(self.rtol * level, self.scaled.floor())
             if small and abs(off) <= self.rtol * constraint.scale:
                 converged = correction <= self.ctol * self.scaled.size
                 if converged:
@@ -144,7 +146,10 @@ class Bordered:
             # A flat sheet's K is singular, and MUMPS need not notice.
             dq = self._step(off, g_q, damped=iteration == 0 and self.fresh and self.can_damp)
             if dq is None:
-                reason = "the bordered system is singular"
+                self.scaled.tangent()
+                cause = not_finite(self.system, self.A)
+                reason = cause or "the bordered system is singular"
+                advice = ADVICE if cause else ""
                 break
             negative = inertia(self.ksp, self.system)
             correction = self.move(-1.0, self.du, dq)
@@ -160,6 +165,7 @@ class Bordered:
             correction=float(correction),
             residuals=tuple(residuals),
             negative=negative,
+            advice=advice,
             solver="Newton's method",
         )
 
@@ -174,8 +180,18 @@ class Bordered:
         if self.fresh and self.can_damp:
             self._damp()
         self.ksp.setOperators(self.A)
-        self.ksp.solve(self.R_q, self.du_q)
+        if not (self.scaled.is_finite() and self._solves(self.R_q, self.du_q)):
+            self.du_q.set(np.nan)
+            return None
         return inertia(self.ksp, self.system)
+
+    def _solves(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Solve K x = b; whether that succeeded. Collective."""
+        try:
+            self.ksp.solve(b, x)
+        except PETSc.Error:
+            return False
+        return bool(self.ksp.getConvergedReason() > 0)
 
     @property
     def can_damp(self) -> bool:
@@ -190,12 +206,12 @@ class Bordered:
         """
         while True:
             self.scaled.tangent()
+            if not self.scaled.is_finite():
+                return None
             if damped:
                 self._damp()
             self.ksp.setOperators(self.A)
-            self.ksp.solve(self.R, self.du)
-            if self.ksp.getConvergedReason() > 0:
-                self.ksp.solve(self.R_q, self.du_q)
+            if self._solves(self.R, self.du) and self._solves(self.R_q, self.du_q):
                 slope = self.g_u.dot(self.du_q) - g_q
                 if slope == 0:  # neither the field nor q changes the constraint
                     return None

@@ -85,7 +85,7 @@ def solve(
         raise failure(
             path,
             f"{outcome.sentence()}. The old state is kept.",
-            f"Reach the load in steps with forms.follow{shown}.",
+            outcome.advice or f"Reach the load in steps with forms.follow{shown}.",
         )
     path.steps.append(Step(load, outcome, recorded(record, problem)))
     path.completed = True
@@ -209,7 +209,8 @@ def follow(
                     path,
                     f"{outcome.sentence()}, at load factor {reached:.6g} even for a step of "
                     f"{2 * walk.ahead:.3g}. The last converged state is kept.",
-                    f"Try a smaller min_step; -{prefix}snes_monitor shows each iteration.",
+                    outcome.advice
+                    or f"Try a smaller min_step; -{prefix}snes_monitor shows each iteration.",
                 )
             bar.set_postfix_str(f"step halved to {walk.ahead:.3g} ({outcome.reason})")
     finally:

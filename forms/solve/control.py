@@ -94,7 +94,7 @@ def control(
                         path,
                         f"{outcome.sentence()}, on the way to {target:.6g} from {reached:.6g}. The "
                         "last converged state is kept.",
-                        "Give targets that lie closer.",
+                        outcome.advice or "Give targets that lie closer.",
                     )
             notes = recorded(record, problem.system)
             path.steps.append(Step(load, outcome, {"target": target, **notes}))

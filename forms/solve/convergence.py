@@ -46,6 +46,7 @@ class Convergence:
         negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
             is stable; None where it is not known (multigrid, LU, projected, damped tangents).
         tried: Ways that were taken in turn, the last one to this end, as "full tangent", "|R|".
+        advice: What to do where the cause is known; empty where it is not.
         solver: Whose iterations these are, in words.
     """
 
@@ -61,6 +62,7 @@ class Convergence:
     residuals: tuple[float, ...] = ()
     negative: int | None = None
     tried: tuple[str, ...] = ()
+    advice: str = ""
     solver: str = "SNES"
 
     def sentence(self) -> str:

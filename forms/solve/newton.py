@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -12,12 +13,14 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from .. import _petsc
 from ..assembly import System
 from ..operators.chain import dependents
 from . import linear
 from .action import Action
 from .convergence import REASONS, Convergence
 from .damping import Damping
+from .finite import ADVICE, not_finite
 from .multigrid import Kept
 from .options import SolverOptions
 from .scaling import EPS, Scaled
@@ -92,7 +95,8 @@ class Newton:
             system.prepare_projection()
         self.projection, self._projecting = projection, False
         self._known: tuple[np.ndarray, float] | None = None
-        self._ruined = False
+        self._ruined = self._spoiled = False
+        self._raised = ""
         self._damping: Damping | None = None
         self._left_multigrid = False
         self.system, self.ctol = system, ctol
@@ -107,7 +111,7 @@ class Newton:
         self._solved = False
         self._imbalance: float | None = None
         self._reactions, self._correction = 0.0, np.inf
-        self._last = (np.inf, 0.0)
+        self._last, self._floor = (np.inf, 0.0), 0.0
         self.scaled = Scaled(system, self.A)
         if system.minimization and system.is_displacement:
             self.A.setNearNullSpace(linear.rigid_modes(system.u.function_space))
@@ -154,7 +158,11 @@ class Newton:
         snes.setLineSearchPreCheck(self._downhill)
         if ksp is not None:
             snes.setKSP(ksp)
-        snes.setFromOptions()
+        try:
+            snes.setFromOptions()
+        except PETSc.Error as error:
+            self._options.clear()
+            raise ValueError(f"PETSc refused its options, {_petsc.said(error)}.") from None
         return snes
 
     def solve(self) -> Convergence:
@@ -214,7 +222,17 @@ class Newton:
             outcome = self._run(objective, outcome)
         start.destroy()
         self._imbalance = None
-        return outcome
+        return self._explained(outcome)
+
+    def _explained(self, outcome: Convergence) -> Convergence:
+        """The outcome, with the cause of linear solves that fail where the tangent shows it."""
+        if outcome.converged or outcome.code != -3:
+            return outcome
+        self.scaled.tangent()
+        cause = not_finite(self.system, self.A)
+        if cause:
+            return replace(outcome, reason=cause, advice=ADVICE)
+        return replace(outcome, reason=self._raised) if self._raised else outcome
 
     def _undefined(self) -> str:
         """Why the energy is not finite at the start, in words. Collective."""
@@ -250,15 +268,19 @@ class Newton:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
         if not self._kept.used:
             return False
+        self._preset = linear.direct(self.system.symmetric)
+        self._left_multigrid = True
+        self._remake()
+        return True
+
+    def _remake(self) -> None:
+        """Make the solvers anew."""
         self._kept.destroy()
         self._drop_action()
         for snes in (self.snes, self._by_residual, self._full):
             if snes is not None:
                 snes.destroy()
-        self._preset = linear.direct(self.system.symmetric)
-        self._left_multigrid = True
         self._build(self._preset)
-        return True
 
     def _is_ruined(self) -> bool:
         """Whether so much of the last tangent is negative that its step leads nowhere."""
@@ -333,13 +355,15 @@ class Newton:
         du, ksp, damped = b.duplicate(), self.snes.getKSP(), self._damping is not None
         while True:
             if assembled and not damped:
-                self._kept.prepare(self.A)
+                self._use_tangent()
             else:
                 self._assemble_tangent()
             assembled = False
             ksp.setOperators(self._product, self.A)
-            ksp.solve(b, du)
-            if ksp.getConvergedReason() > 0 and np.isfinite(du.norm()):
+            solved = self._solve_linear(b, du)
+            if self._spoiled:
+                break
+            if solved and np.isfinite(du.norm()):
                 self._ruined = self._is_ruined()
                 if not self._ruined:
                     self.x.axpy(1, du)
@@ -357,6 +381,34 @@ class Newton:
                 break
             damped = True
         du.destroy()
+
+    def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Solve K x = b; whether that succeeded. Collective."""
+        ksp = self.snes.getKSP()
+        try:
+            ksp.solve(b, x)
+        except PETSc.Error:
+            ksp.reset()
+            return False
+        return bool(ksp.getConvergedReason() > 0)
+
+    def _ended(self, snes: PETSc.SNES) -> tuple[int, int, int]:
+        """Run SNES from x; its reason, iterations and linear iterations. Collective.
+
+        One that raises leaves its vectors locked: all is made anew then.
+        """
+        try:
+            snes.solve(None, self.x)
+        except PETSc.Error as error:
+            self._raised = _petsc.said(error)
+            self.x, self.b = self.b.duplicate(), self.b.duplicate()
+            self._x_before.copy(self.x)
+            self._remake()
+            return -3, max(0, len(self._history) - 1), 0
+        # A step of zero length counts as converged for PETSc.
+        code = -3 if self._spoiled else int(snes.getConvergedReason())
+        linear_iterations = snes.getLinearSolveIterations()
+        return code, snes.getIterationNumber(), linear_iterations
 
     def _forget_failure(self) -> None:
         """Start the linear solver anew after a failure, which MUMPS does not forget."""
@@ -383,9 +435,18 @@ class Newton:
                 self._kept.prepare(self.A)
                 return
         self.scaled.tangent(self._projecting)
-        if self._projecting and self._damping is None:
+        self._use_tangent()
+
+    def _use_tangent(self) -> None:
+        """Damp the assembled tangent if need be, and hand it to the linear solver. Collective."""
+        self._spoiled = not self.scaled.is_finite()
+        if self._spoiled:
+            # Its step is not taken. MUMPS and GAMG would raise in the midst of SNES.
+            self.A.zeroEntries()
+            self.A.shift(1.0)
+        elif self._projecting and self._damping is None:
             self._damp()
-        if self._damping is not None:
+        if self._damping is not None and not self._spoiled:
             self._damping.add(self.A)
         self._kept.prepare(self.A)
 
@@ -423,7 +484,7 @@ class Newton:
         if self._stepping and self._full is not None:
             snes = self._full
         self._energetic, self._resumed = objective, before is not None
-        self._known = None
+        self._known, self._spoiled, self._raised = None, False, ""
         damped = self._projecting or self._damping is not None
         if "snes_max_it" not in self._user:
             most = MOST if not damped else MOST_DAMPED if objective else MOST_NEAR
@@ -432,26 +493,24 @@ class Newton:
         self._correction = np.inf
         self._history: list[float] = []
         self._forget_failure()
-        snes.solve(None, self.x)
+        code, iterations, linear_iterations = self._ended(snes)
         self.scaled.put(self.x)
-        code = snes.getConvergedReason()
         converged = code == CONVERGED_CODE
         reached = "both tolerances reached"
-        if self._last[0] > max(self.rtol * self._last[1], self.scaled.rounding):
+        if self._last[0] > max(self.rtol * self._last[1], self._floor):
             reached = f"snes_atol = {self.atol:g} reached"
         return Convergence(
             converged=converged,
             reason=reached if converged else REASONS.get(code, f"reason {code}"),
             code=code,
-            iterations=snes.getIterationNumber() + (before.iterations if before else 0),
-            projected=(snes.getIterationNumber() if self._projecting else 0)
+            iterations=iterations + (before.iterations if before else 0),
+            projected=(iterations if self._projecting else 0)
             + (before.projected if before else 0),
-            linear_iterations=snes.getLinearSolveIterations()
-            + (before.linear_iterations if before else 0),
+            linear_iterations=linear_iterations + (before.linear_iterations if before else 0),
             residual=self._last[0],
             force_level=self._last[1],
             correction=float(self._correction),
-            negative=self._negative(snes),
+            negative=None if iterations == 0 else self._negative(),
             tried=(before.tried if before else ()) + (self._way(objective),),
             # A run that goes on from another one meets its last residual again.
             residuals=(before.residuals + tuple(self._history[1:]))
@@ -471,12 +530,12 @@ class Newton:
             way = "full tangent" if self._damping is None else "damped tangent"
         return f"{way} with MUMPS" if self._left_multigrid else way
 
-    def _negative(self, snes: PETSc.SNES) -> int | None:
+    def _negative(self) -> int | None:
         """Negative eigenvalues of the last tangent, where it was the full one and factorized."""
         damped = self._damping is not None and self._damping.strength > LIGHT
-        if self._projecting or damped or snes.getIterationNumber() == 0:
+        if self._projecting or damped:
             return None
-        return inertia(snes.getKSP(), self.system)
+        return inertia(self.snes.getKSP(), self.system)
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
         # A line search begins with the energy of the state at which the last one ended.
@@ -505,6 +564,8 @@ class Newton:
     def _hold(self, ksp: PETSc.KSP, b: PETSc.Vec, step: PETSc.Vec) -> None:
         """Keep supports exact: multigrid's coarse levels may move them by its tolerance."""
         step.array[self.system.constrained] = 0
+        if self._spoiled:
+            step.set(0)
         self._kept.count()
 
     def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
@@ -516,7 +577,7 @@ class Newton:
         while not force.dot(step) > 0 and self._damping.stiffen():
             self._assemble_tangent()
             self._forget_failure()
-            self.snes.getKSP().solve(force, step)
+            self._solve_linear(force, step)
             changed = True
         self._forget_failure()
         return changed
@@ -536,9 +597,12 @@ class Newton:
                 step = snes.getSolutionUpdate().norm()
                 self._damping.after(self._x_before.norm() / step if step else 1.0)
         x.copy(self._x_before)
+        if self._spoiled:
+            return -3
         level = max(self._reactions, self._imbalance or 0.0)
         self._last = (fnorm, level)
-        self._kept.goal = max(self.rtol * level, self.atol, self.scaled.rounding)
+        self._floor = self.scaled.floor()
+        self._kept.goal = max(self.rtol * level, self.atol, self._floor)
         small = fnorm <= self._kept.goal
         # With iterative solves the next correction is smaller than the last one as the forces are;
         # with a factorization it takes one step to see how much smaller.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -34,6 +35,7 @@ class Scaled:
         free: Those of them that are not supported.
         others: Owned local numbers of pressures.
         rounding: Error of the forces [N], eps * typical K_ii * size * sqrt(n); 0 until measured.
+            It is the body's; :meth:`floor` adds that of stiff springs.
     """
 
     def __init__(self, system: System, A: PETSc.Mat) -> None:
@@ -47,6 +49,7 @@ class Scaled:
         self.D.set(1)
         self.mixed = is_mixed(system.u.function_space)
         self.rounding = 0.0
+        self._stiffness = np.empty(0)
 
     def measure(self) -> None:
         """Find the forces' rounding error, and the scale of a pressure, at u. Collective."""
@@ -54,12 +57,23 @@ class Scaled:
         system.tangent(self.A)
         diagonal = linear.typical_diagonal(self.A, self.free)
         self.rounding = EPS * diagonal * self.size * np.sqrt(system.size)
+        self._stiffness = np.abs(self.A.getDiagonal().array_r[self.free])
         mesh = system.u.function_space.mesh
         if self.mixed and diagonal > 0:
             dim = mesh.topology.dim
             cells = mesh.topology.index_map(dim).size_global
             h = self.size / cells ** (1 / dim)
             self.D.array[self.others] = diagonal / h ** (dim - 1)
+
+    def floor(self) -> float:
+        """Error of the forces [N] at u: that of the body, or eps |K_ii u_i|, if it is larger.
+
+        A stiff spring between u and a place that moves resists what u is rounded by. Collective.
+        """
+        own = self._stiffness * self.system.u.x.array[self.free]
+        with np.errstate(over="ignore", invalid="ignore"):
+            springs = EPS * np.sqrt(self.system.comm.allreduce(float(own @ own)))
+        return max(self.rounding, float(springs)) if np.isfinite(springs) else self.rounding
 
     def residual(self, b: PETSc.Vec) -> float:
         """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
@@ -77,6 +91,16 @@ class Scaled:
         self.system.tangent(self.A, projected)
         if self.mixed:
             self.A.diagonalScale(self.D, self.D)
+
+    def is_finite(self) -> bool:
+        """Whether the assembled tangent is finite: its diagonal, which no cell spares. Collective.
+
+        A derivative that is not finite spoils all entries of its cell's matrix, the diagonal too.
+        """
+        diagonal = self.A.getDiagonal()
+        finite = bool(np.all(np.isfinite(diagonal.array_r)))
+        diagonal.destroy()
+        return bool(self.system.comm.allreduce(finite, MPI.LAND))
 
     def put(self, y: PETSc.Vec) -> None:
         """Copy D y into the unknown, ghosts included."""

@@ -20,6 +20,7 @@ from dolfinx import fem
 from ..assembly import System
 from ..supports import is_mixed
 from . import linear
+from .finite import ADVICE, not_finite
 
 
 def negative_eigenvalues(system: System) -> int:
@@ -36,15 +37,28 @@ def negative_eigenvalues(system: System) -> int:
     """
     system = getattr(system, "system", system)
     _check_symmetric(system)
-    A = system.create_matrix()
-    system.tangent(A)
+    A = _finite_tangent(system)
     ksp = _factored(A)
     count = inertia(ksp, system)
     ksp.destroy()
     A.destroy()
     if count is None:
-        raise ValueError("the tangent at this state could not be factorized: is it finite?")
+        raise ValueError("the tangent at this state could not be factorized: is the body held?")
     return count
+
+
+def _finite_tangent(system: System) -> PETSc.Mat:
+    """The assembled tangent at u. Collective.
+
+    Raises:
+        ValueError: it is not finite.
+    """
+    A = system.create_matrix()
+    system.tangent(A)
+    cause = not_finite(system, A)
+    if cause:
+        raise ValueError(f"{cause}. {ADVICE}")
+    return A
 
 
 def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Function]]:
@@ -75,8 +89,7 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
             "lowest_modes needs slepc4py, which is not installed: install Debian's "
             "python3-slepc4py, or variform's extra 'modes' beside a SLEPc of PETSc's version."
         ) from error
-    A = system.create_matrix()
-    system.tangent(A)
+    A = _finite_tangent(system)
     free = np.setdiff1d(np.arange(A.getLocalSize()[0]), system.constrained)
     typical = linear.typical_diagonal(A, free)
     diagonal = A.getDiagonal()
