@@ -86,9 +86,7 @@ def form(ufl_form: ufl.Form) -> fem.Form:
     """
     comm = _dolfinx.cpp_mesh(ufl_form.ufl_domain()).comm
     written = canonical(ufl_form)
-    return alike(
-        comm, lambda: fem.form(written, jit_options=_prepared(comm, written)), "a form"
-    )
+    return alike(comm, lambda: fem.form(written, jit_options=_prepared(comm, written)), "a form")
 
 
 def expression(value: Any, points: NDArray[np.float64], mesh: Any) -> fem.Expression:

@@ -75,13 +75,13 @@ assert abs(value - 5) < 1e-12 and abs(forms.smallest_volume_ratio(sheet, body) -
 def test_names_of_code_contain_no_running_numbers(run, tmp_path, monkeypatch):
     """Forms, fields, jets and operands of another process find the code of the first."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = []
     for seed, before in enumerate((0, 9)):  # Constants 0 and 1; 9 and 10, sorted as words
         monkeypatch.setenv("PYTHONHASHSEED", str(seed))
         run("-c", FORMS, before, timeout=HANGS)
-        found = modules(tmp_path)
-        assert seed == 0 or found == first
-        first = found
-    assert len(first) == 7  # the library; form, operand and jet; three expressions
+        found.append(modules(tmp_path))
+    assert found[0] == found[1]
+    assert len(found[0]) == 7  # the library; form, operand and jet; three expressions
 
 
 def test_a_canonical_form_has_the_values_of_the_given_one():
@@ -162,7 +162,7 @@ body = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
 F = forms.deformation_gradient(forms.displacement(body, degree=2))
 C = forms.stress.spatial_elasticity(forms.energies.neo_hookean(F, 1.0, 1.0), F)
 forms.field(C, body, 1)
-forms.integral(ufl.inner(C, C) * ufl.dx)
+forms.integral(F[0, 0] * ufl.dx)
 if MPI.COMM_WORLD.rank == 0:
     print("finished")
 """
@@ -181,8 +181,7 @@ def test_a_killed_compile_leaves_nothing_to_wait_for(how, run, tmp_path, monkeyp
     ranks = 2 if "2" in how else 1
     draw = random.Random(how)
     process = start(COLD, tmp_path, ranks)
-    which = draw.choice([1, 2])
-    wait_for(lambda: len(list(tmp_path.glob("fenics/**/*.c"))) >= which, process)
+    wait_for(lambda: list(tmp_path.glob("fenics/**/*.c")), process)
     time.sleep(draw.uniform(0, 0.1))
     if how == "INT":
         os.killpg(process.pid, signal.SIGINT)
@@ -257,6 +256,7 @@ def test_who_waits_long_says_for_what(tmp_path, monkeypatch, capfd):
 
 def test_where_files_cannot_be_locked_each_works_by_itself(tmp_path, monkeypatch):
     """As on some network folders: the one that ends first is taken, and nothing fails."""
+
     def no_locks(*_):
         raise OSError(37, "No locks available")
 

@@ -97,7 +97,7 @@ def timed(cache, ranks):
 
 
 def unfinished(cache):
-    """Pieces that a killed run has left: locks, and files without what tells that they are whole."""
+    """Pieces that a killed run has left: locks, and files not yet marked as whole."""
     names = {path.name for path in cache.glob("fenics/**/*")}
     return sorted(
         name

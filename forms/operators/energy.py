@@ -19,7 +19,7 @@ from .chain import Expr
 from .evaluate import evaluate
 from .jets import Kind, is_plane, singular_value_function
 from .stretches import StretchFunction
-from .texts import key, stand_in, text
+from .texts import fingerprint, stand_in, text
 
 Array = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ class SingularValueEnergy:
 
         bound = self._bound({k: _each(v, following) for k, v in values.items()})
         psi = text(bound, self.stretches, self.name)
-        said = key(psi)
+        said = fingerprint(psi)
         function = self._functions.pop(said, None)
         if function is None:
             function = StretchFunction(lambda *_: psi, self.stretches, self.name)

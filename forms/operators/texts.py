@@ -40,7 +40,7 @@ def text(psi_hat: Callable[..., Expr], n: int, name: str) -> Expr:
         ) from error
 
 
-def key(psi: Expr) -> tuple[Any, ...]:
+def fingerprint(psi: Expr) -> tuple[Any, ...]:
     """A text as nodes: equal for equal texts, whatever numbers its labels and indices got; local.
 
     Constants and coefficients are what they are: another one makes another text.
