@@ -11,6 +11,8 @@ import logging
 from typing import Any
 
 import dolfinx
+import ffcx
+import ffcx.naming
 import numpy as np
 from dolfinx import fem, geometry
 from dolfinx.fem import petsc as fem_petsc
@@ -126,6 +128,12 @@ def bounding_boxes(
 ) -> geometry.BoundingBoxTree:
     """Tree of the bounding boxes of entities (0.10: these go by name only)."""
     return geometry.bb_tree(mesh, dim, entities=entities)
+
+
+def signature(ufl_object: Any, tag: str) -> str:
+    """FFCx's digest of a form, or of an expression with its points, its options and a tag."""
+    tag = f"{tag} {sorted((k, str(v)) for k, v in ffcx.get_options().items())}"
+    return str(ffcx.naming.compute_signature([ufl_object], tag))
 
 
 def cpp_mesh(domain: Any) -> Any:

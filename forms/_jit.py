@@ -9,22 +9,35 @@ instructions, the cache is keyed by the CPU; ranks on unlike CPUs go without.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import platform
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
-from dolfinx import jit
+import numpy as np
+import ufl
+from dolfinx import default_scalar_type, fem, jit
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from ._canonical import canonical
+from ._once import make_once
 
 REORDER = ["-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math"]
 # Words in the names of errors that are the compiler's or the folder's, and not the form's.
 _COMPILERS = ("Compile", "Link", "Verification", "FileNotFound", "Permission", "OSError", "gcc")
 _DEFAULTS = (["-O2"], ["-O2", "-g0"])  # DOLFINx's own; anything else is the user's choice
+
+
+class _Failure(Exception):
+    """What went wrong on the rank that compiled, in its words."""
 
 
 def flags(comm: MPI.Comm) -> list[str]:
@@ -37,33 +50,127 @@ def flags(comm: MPI.Comm) -> list[str]:
     return ["-O3", *own, *REORDER]
 
 
-def jit_options(comm: MPI.Comm) -> dict[str, Any]:
-    """Options for DOLFINx's own compilation. Collective."""
-    # How long a program waits for the same form compiled by another: DOLFINx's 10 s are short on a
-    # busy machine.
-    patience = max(60, int(jit.get_options()["timeout"]))
-    return {"cffi_extra_compile_args": flags(comm), "timeout": patience}
-
-
 def folder() -> Path:
     """Where compiled code is kept: DOLFINx's own cache."""
     return Path(jit.get_options()["cache_dir"])
 
 
-def compiled(comm: MPI.Comm, ufl_object: Any) -> tuple[Any, Any]:
+def compiled(comm: MPI.Comm, ufl_object: Any) -> tuple[Any, Any, Any]:
     """Compile a form, or an expression with its points, by FFCx. Collective.
 
     Returns:
-        FFCx's structure and the module that it lives in, which must outlive every use of it.
+        FFCx's structure; the module that it lives in, which must outlive every use of it; and the
+        form or expression as it was compiled, whose coefficients and Constants the structure takes.
 
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
     """
-    options = jit_options(comm)
-    result, module, _ = alike(
-        comm, lambda: jit.ffcx_jit(comm, ufl_object, jit_options=options), "a form"
-    )
-    return result, module
+    if isinstance(ufl_object, tuple):
+        written = canonical(ufl_object[0])
+        ufl_object = written, ufl_object[1]
+    else:
+        ufl_object = written = canonical(ufl_object)
+
+    def compile() -> tuple[Any, Any]:
+        options = _prepared(comm, ufl_object)
+        return jit.ffcx_jit(comm, ufl_object, _compiler_options(), options)[:2]
+
+    return *alike(comm, compile, "a form"), written
+
+
+def form(ufl_form: ufl.Form) -> fem.Form:
+    """DOLFINx's form of a UFL form that it can compile. Collective.
+
+    Raises:
+        RuntimeError: the compiler is missing or failed; alike on all ranks.
+    """
+    comm = _dolfinx.cpp_mesh(ufl_form.ufl_domain()).comm
+    written = canonical(ufl_form)
+    return alike(comm, lambda: fem.form(written, jit_options=_prepared(comm, written)), "a form")
+
+
+def expression(value: Any, points: NDArray[np.float64], mesh: Any) -> fem.Expression:
+    """DOLFINx's expression of a UFL expression at points of the reference cell. Collective.
+
+    Raises:
+        RuntimeError: the compiler is missing or failed; alike on all ranks.
+    """
+    written = canonical(value)
+
+    def compile() -> fem.Expression:
+        options = _prepared(mesh.comm, (written, points), jit.get_options())
+        return fem.Expression(
+            written, points, mesh.comm, jit_options=options, dtype=default_scalar_type
+        )
+
+    made = alike(mesh.comm, compile, "an expression")
+    made._ufl_expression = value  # as it was given, with its own Constants
+    return made
+
+
+def _prepared(
+    comm: MPI.Comm, ufl_object: Any, options: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Options with which DOLFINx finds an object compiled, in a folder of its own. Collective.
+
+    FFCx by itself leaves a file behind when it is killed, and then every later run waits for it.
+    Rank 0 compiles; where ranks share no cache, so does one of each.
+
+    Args:
+        comm: Communicator.
+        ufl_object: Form, or expression with its points.
+        options: Options of DOLFINx; its own with our flags by default.
+    """
+    chosen = options or {"cffi_extra_compile_args": flags(comm)}
+
+    def make(folder: Path) -> Path:
+        made = folder / "made"
+        with _handlers_kept():
+            jit.ffcx_jit(
+                MPI.COMM_SELF, ufl_object, _compiler_options(), {**chosen, "cache_dir": made}
+            )
+        return made
+
+    problem: tuple[str, bool] | None = None
+    for turn in (0, 1)[: comm.size]:
+        try:
+            if turn == min(comm.rank, 1):
+                name = _dolfinx.signature(ufl_object, _kind(chosen))
+                place = folder() / f"variform_{name}"
+                make_once(place, make)
+        except Exception as error:
+            if comm.size == 1:
+                raise
+            problem = f"{type(error).__name__}: {error}", isinstance(error, ValueError)
+        if comm.size > 1:
+            problems = [p for p in comm.allgather(problem) if p is not None]
+            if problems:
+                text, of_the_form = max(problems)
+                raise ValueError(text.partition(": ")[2]) if of_the_form else _Failure(text)
+    return {**chosen, "cache_dir": place}
+
+
+def _kind(options: dict[str, Any]) -> str:
+    """What code depends on besides the form: the C compiler's options, Python, the scalars."""
+    chosen = jit.get_options(options)
+    cffi = [(key, str(chosen[key])) for key in sorted(chosen) if key.startswith("cffi_")]
+    python = [sysconfig.get_config_var(name) for name in ("SOABI", "CFLAGS")]
+    return f"{cffi} {python} {_compiler_options()}"
+
+
+def _compiler_options() -> dict[str, Any]:
+    return {"scalar_type": default_scalar_type}  # named as DOLFINx names it
+
+
+@contextmanager
+def _handlers_kept() -> Iterator[None]:
+    """Give the log its handlers back, which FFCx takes away while it compiles."""
+    root = logging.getLogger()
+    handlers = root.handlers.copy()
+    try:
+        yield
+    finally:
+        root.handlers = handlers
 
 
 def alike(comm: MPI.Comm, compile: Callable[[], Any], what: str) -> Any:
@@ -74,7 +181,8 @@ def alike(comm: MPI.Comm, compile: Callable[[], Any], what: str) -> Any:
     except ValueError:  # of the form, and not of the compiler: alike on all ranks
         raise
     except Exception as error:
-        failure = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        text = error if isinstance(error, _Failure) else f"{type(error).__name__}: {error}"
+        failure = " ".join(str(text).split())[:300]
     failure = max(comm.allgather(failure), key=len)
     if not failure:
         return result

@@ -10,6 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from . import _jit
 from .kinematics import Expr, _dimension, _embed
 from .operators.chain import Pointwise, contains
 
@@ -36,7 +37,7 @@ class ThicknessStretch(fem.Function):
         self._mixed = ufl.as_tensor(A[2, 2, i, J], (i, J))
         self._slope = A[2, 2, 2, 2]
         points = Q.custom_quadrature()[0]
-        self._newton = fem.Expression(ufl.as_vector([P[2, 2], self._slope]), points)
+        self._newton = _jit.expression(ufl.as_vector([P[2, 2], self._slope]), points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
 

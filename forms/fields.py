@@ -12,7 +12,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from ufl.algorithms import extract_coefficients
 
-from . import _checks, _dolfinx
+from . import _checks, _dolfinx, _jit
 from .kinematics import Expr
 from .operators.chain import update_dependents
 from .operators.evaluate import at_points
@@ -71,7 +71,7 @@ class Evaluation:
         if not self._projected:
             points = _dolfinx.interpolation_points(V)
             self._source = at_points(expression, V.mesh, points)
-            self._expression = fem.Expression(self._source, points)
+            self._expression = _jit.expression(self._source, points, V.mesh)
             return
         dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": max(degrees)})
         v, w = ufl.TestFunction(V), ufl.TrialFunction(V)

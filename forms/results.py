@@ -15,7 +15,7 @@ from dolfinx import fem, geometry
 from numpy.typing import NDArray
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
-from . import _checks, _dolfinx
+from . import _checks, _dolfinx, _jit
 from ._parallel import bounding_box
 from .assembly import System
 from .fields import quadrature_degrees
@@ -168,7 +168,7 @@ def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
     points, _ = basix.make_quadrature(cell, max(at_points, default=degree))
     update_dependents(F)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    values = fem.Expression(ufl.det(F), points).eval(mesh, owned)
+    values = _jit.expression(ufl.det(F), points, mesh).eval(mesh, owned)
     return float(mesh.comm.allreduce(float(np.min(values, initial=np.inf)), MPI.MIN))
 
 

@@ -19,7 +19,7 @@ from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_type
 
-from . import _checks, _dolfinx
+from . import _checks, _dolfinx, _jit
 from ._parallel import bounding_box
 from .kinematics import Expr
 
@@ -289,7 +289,7 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
         g.x.array[:] = np.tile(constant, g.x.array.size // len(values))
     else:
         value = ufl.as_vector(values) if len(values) > 1 else ufl.as_ufl(values[0])
-        expression = fem.Expression(value, _dolfinx.interpolation_points(W))
+        expression = _jit.expression(value, _dolfinx.interpolation_points(W), W.mesh)
     # Not only the cells at the facets: a rank may own a dof whose facet lives elsewhere.
     touched = np.isin(W.dofmap.list, own).any(axis=1)
     bc = fem.dirichletbc(g, dofs) if whole else fem.dirichletbc(g, dofs, view)

@@ -200,3 +200,14 @@ def test_estimate_follows_its_formula():
     assert e.times(e.half())["waiting"] == pytest.approx(0.5, abs=0.02)
     assert e.halo(3e6) == pytest.approx(100 * e.halo(3e3))
     assert dict(e.limits())["numbers of rows, in PETSc's integers of 32 bits"] == 2**31 - 1
+
+
+@pytest.mark.slow
+def test_benchmark_of_kills_runs(run, tmp_path):
+    """Two kills and two runs at a time on each number of ranks: nothing fails afterwards."""
+    done = run("-m", "demos.benchmarks.kills", "--small", cwd=tmp_path, timeout=900)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    killed = [row for row in rows if "next run" in row]
+    assert len(rows) == 8 and len(killed) == 4
+    assert all(row["next run"] == "succeeds" and not row["unfinished then"] for row in killed)
+    assert {row.get("two at a time", "both succeed") for row in rows} == {"both succeed"}

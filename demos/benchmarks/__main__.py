@@ -19,6 +19,7 @@ NAMES = (
     "newton_atlas",
     "work_precision",
     "scaling",
+    "kills",
 )
 
 

@@ -26,6 +26,8 @@ LAWS = {
     "operators": "energies in singular values equal plain UFL in any form: cells, orders, facets, "
     "regions, parameters, products, mixed unknowns, sheets; document 002; wrong input; the limits; "
     "nothing beyond an array's bounds",
+    "compilation": "code is compiled once, ever, whatever was made before; kills at any moment, "
+    "two at a time, no locks",
     "projection": "projected tangents; ruined states return to rest; the last iterations are "
     "quadratic",
     "membranes": "areas, volumes and sides of surfaces; sheet energies as derivatives and in "

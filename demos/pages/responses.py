@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem, mesh
 
 import forms
+from forms import _jit
 from forms.operators.chain import update_dependents
 from forms.operators.evaluate import at_points
 
@@ -37,7 +38,7 @@ class Stress:
         point = np.full((1, 3), 0.25)
         entries = [density] + [P[i, j] for i in range(shape[0]) for j in range(shape[1])]
         self._parts = at_points(ufl.as_vector(entries), self.mesh, point)
-        self._kernel = fem.Expression(self._parts, point)
+        self._kernel = _jit.expression(self._parts, point, self.mesh)
 
     def __call__(self, F):
         """P at an array F."""

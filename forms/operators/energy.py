@@ -18,11 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from .chain import Expr
 from .evaluate import evaluate
 from .jets import Kind, is_plane, singular_value_function
-from .stretches import NOWHERE, StretchFunction
+from .stretches import StretchFunction
+from .texts import fingerprint, stand_in, text
 
 Array = NDArray[np.float64]
 
 STRETCHES = ("s1", "s2", "s3")
+TEXTS = 16  # that an energy remembers: one for each length of its lists, and each change of psi_hat
 
 
 class SingularValueEnergy:
@@ -59,6 +61,7 @@ class SingularValueEnergy:
     __signature__: inspect.Signature
     _psi_hat: Callable[..., Expr]
     _check: Callable[..., None] | None
+    _functions: dict[tuple, StretchFunction]
 
     def __init__(
         self,
@@ -87,6 +90,7 @@ class SingularValueEnergy:
             )
         self.stretches, self.improper, self.clamp = n, improper, float(clamp)
         self._psi_hat, self._check = psi_hat, check
+        self._functions = {}
         kinds = {p.kind for p in given.parameters.values()}
         taken = [name for name in names[n:] if name in ("F", "project")]
         if not kinds <= {inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY}:
@@ -176,6 +180,7 @@ class SingularValueEnergy:
         """The energy of transform(psi_hat), with the same parameters."""
         energy = copy.copy(self)
         psi_hat = self._psi_hat
+        energy._functions = {}
         energy._psi_hat = lambda *s, **values: transform(lambda *q: psi_hat(*q, **values))(*s)
         energy.name = energy.__name__ = energy.__qualname__ = name
         return energy
@@ -212,16 +217,27 @@ class SingularValueEnergy:
         return evaluate(kind, X, levels, project)
 
     def _numeric(self, values: dict[str, Any]) -> tuple[StretchFunction, list[Expr]]:
-        """psi_hat with stand-ins for its parameters, so that numbers need no compilation."""
+        """psi_hat with stand-ins for its parameters, so that numbers need no compilation.
+
+        Its text is read at each call, as what stands in it may have changed; what has been derived
+        from a text is kept.
+        """
         stand_ins: list[Expr] = []
 
-        def stand_in(_: Any) -> Expr:
-            stand_ins.append(ufl.Constant(NOWHERE))
+        def following(_: Any) -> Expr:
+            stand_ins.append(stand_in(len(stand_ins)))
             return stand_ins[-1]
 
-        # Made anew each time: what stands in the text of psi_hat may have changed.
-        bound = self._bound({k: _each(v, stand_in) for k, v in values.items()})
-        return StretchFunction(bound, self.stretches, self.name), stand_ins
+        bound = self._bound({k: _each(v, following) for k, v in values.items()})
+        psi = text(bound, self.stretches, self.name)
+        said = fingerprint(psi)
+        function = self._functions.pop(said, None)
+        if function is None:
+            function = StretchFunction(lambda *_: psi, self.stretches, self.name)
+        self._functions[said] = function  # the last one used comes last
+        while len(self._functions) > TEXTS:
+            del self._functions[next(iter(self._functions))]
+        return function, stand_ins
 
     def _bound(self, values: dict[str, Any]) -> Callable[..., Expr]:
         return lambda *s: self._psi_hat(*s, **values)

@@ -15,6 +15,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives, extract_coefficients
 
+from .. import _jit
 from .chain import Expr, expanded, update_dependents
 from .jets import Jet, Kind
 from .library import describe, library
@@ -65,7 +66,7 @@ class PointValues(fem.Function):
         self.jet, self._points = jet, len(points)
         packed = expand_derivatives(jet.jets.packed)
         self._packed = packed
-        self._operand = fem.Expression(packed, points)
+        self._operand = _jit.expression(packed, points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
 

@@ -16,10 +16,9 @@ import numpy as np
 import ufl
 from ufl.algorithms import expand_derivatives, extract_arguments
 from ufl.algorithms.expand_indices import expand_indices
-from ufl.corealg.map_dag import map_expr_dag
-from ufl.corealg.multifunction import MultiFunction
 
 from .. import _dolfinx
+from .._canonical import without_variables
 from .chain import Expr, Pointwise, contains, rate, update_dependents
 from .stretches import StretchFunction
 
@@ -192,22 +191,10 @@ def is_plane(X: Expr) -> bool:
     """Whether X is 3x3 and its entries 13, 23, 31, 32 vanish identically."""
     if X.ufl_shape != (3, 3):
         return False
-    plain = map_expr_dag(_WithoutVariables(), expand_derivatives(X))
+    # An entry of a variable is never seen to vanish.
+    plain = without_variables(expand_derivatives(X))
     outside = ((0, 2), (1, 2), (2, 0), (2, 1))
     return all(isinstance(expand_indices(plain[i, j]), ufl.classes.Zero) for i, j in outside)
-
-
-class _WithoutVariables(MultiFunction):
-    """Replace variables by what they stand for: an entry of one is never seen to vanish."""
-
-    def expr(self, o: Expr, *operands: Expr) -> Expr:
-        return self.reuse_if_untouched(o, *operands)
-
-    def terminal(self, o: Expr) -> Expr:
-        return o
-
-    def variable(self, o: Expr, operand: Expr, label: Expr) -> Expr:
-        return operand
 
 
 def _refuse_compiling() -> None:

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shlex
 import subprocess
-import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from mpi4py import MPI
 import cffi
 
 from .. import _dolfinx, _jit, _petsc
+from .._once import make_once
 from .jets import Kind
 from .stretches import MAX_PARAMETERS
 
@@ -71,9 +70,8 @@ MAX_OPERATORS, MAX_PIECES = 8, 16
 def library(comm: MPI.Comm) -> tuple[Any, Any]:
     """The loaded library and its cffi interface. Collective.
 
-    Built on rank 0, in a folder of its own, and moved into the cache in one step, so that programs
-    that start at once never see half a file. The name holds the source, the flags (with the CPU)
-    and the release of DOLFINx.
+    Built on rank 0, and whole once it is in the cache, whatever is killed meanwhile. The name holds
+    the source, the flags (with the CPU) and the release of DOLFINx.
 
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
@@ -82,8 +80,8 @@ def library(comm: MPI.Comm) -> tuple[Any, Any]:
     path = _path(flags)
 
     def build() -> None:
-        if comm.rank == 0 and not path.exists():
-            _build(path, flags)
+        if comm.rank == 0:
+            make_once(path, lambda folder: _build(folder / path.name, flags))
 
     _jit.alike(comm, build, "the operators' kernels")
     return _jit.alike(comm, lambda: _load(path), "the operators' kernels")
@@ -101,16 +99,13 @@ def _definitions() -> list[str]:
     return ["-DVARIFORM_CUSTOM_DATA"] if _dolfinx.CUSTOM_DATA else []
 
 
-def _build(path: Path, flags: tuple[str, ...]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix="variform-") as folder:
-        made = Path(folder) / path.name
-        command = [*shlex.split(_jit.compiler()), "-std=c17", "-fPIC", "-shared", *flags]
-        command += [*_definitions(), "-o", str(made), str(SOURCE / "library.c"), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise OSError((done.stderr or done.stdout).strip().splitlines()[0])
-        os.replace(made, path)
+def _build(made: Path, flags: tuple[str, ...]) -> Path:
+    command = [*shlex.split(_jit.compiler()), "-std=c17", "-fPIC", "-shared", *flags]
+    command += [*_definitions(), "-o", str(made), str(SOURCE / "library.c"), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError((done.stderr or done.stdout).strip().splitlines()[0])
+    return made
 
 
 @cache

@@ -60,10 +60,8 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
 
 
 def _plain(form: ufl.Form) -> fem.Form:
-    """DOLFINx's own compilation with our flags and our sentence where it fails."""
-    comm = _dolfinx.cpp_mesh(form.ufl_domain()).comm
-    options = _jit.jit_options(comm)
-    result = _jit.alike(comm, lambda: fem.form(form, jit_options=options), "a form")
+    """DOLFINx's own form, and the addresses of its kernels."""
+    result: Any = _jit.form(form)
     ufcx, ffi = result.ufcx_form, result.module.ffi
     integrals = [ufcx.form_integrals[k] for k in range(ufcx.form_integral_offsets[len(_TYPES)])]
     vars(result)["_kernels"] = [_address(ffi, i.tabulate_tensor_float64) for i in integrals]
@@ -151,7 +149,7 @@ class _Lowering:
                 f"values, more than {STACK // 2**20}: lower the quadrature degree."
             )
         self.lib, self.ffi = library(self.comm)
-        self.ufcx, module = _jit.compiled(self.comm, self.lowered)
+        self.ufcx, module, self.lowered = _jit.compiled(self.comm, self.lowered)
         self.keep: list[Any] = [self.lib, self.ffi, module]
         everything = self.lowered.coefficients()
         positions = [
@@ -235,8 +233,9 @@ class _Lowering:
         return self.rules[kind, degree]
 
     def _operand(self, jets: Jets, rule: _Rule) -> _Operand:
-        packed = expand_derivatives(jets.packed)
-        kernel, module = _jit.compiled(self.comm, (packed, rule.points))
+        kernel, module, packed = _jit.compiled(
+            self.comm, (expand_derivatives(jets.packed), rule.points)
+        )
         self.keep.append(module)
         coefficients = extract_coefficients(packed)
         for c in coefficients:

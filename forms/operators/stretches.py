@@ -15,7 +15,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -25,11 +24,7 @@ from ufl.algorithms.analysis import extract_constants
 
 from .. import _jit
 from .chain import with_branches_outside
-
-Expr = Any  # UFL ships no types
-
-# The jet is compiled without a mesh; UFL wants constants to live on one.
-NOWHERE = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
+from .texts import NOWHERE, PROBES, Expr, text
 
 MAX_PARAMETERS = 64  # as in kernels/point.h
 _SAMPLES, _WIDE = 4, 40
@@ -60,15 +55,8 @@ class StretchFunction:
     def __init__(self, psi_hat: Callable[..., Expr], n: int, name: str) -> None:
         self.n, self.name = n, name
         self._compiled: tuple[Any, Any] | None = None
-        probe = ufl.Constant(NOWHERE, shape=(n,))
-        try:
-            psi = expand_derivatives(ufl.as_ufl(psi_hat(*(probe[i] for i in range(n)))))
-            psi = with_branches_outside(psi)
-        except TypeError as error:
-            raise ValueError(
-                f"{name} failed on UFL scalars ({error}): write it with ufl.ln, ufl.exp, .., not "
-                "with NumPy's functions."
-            ) from error
+        probe = PROBES[n]
+        psi = with_branches_outside(expand_derivatives(text(psi_hat, n, name)))
         if psi.ufl_shape != () or psi.ufl_free_indices:
             raise ValueError(f"{name} must return a scalar, got the shape {psi.ufl_shape}.")
         if probe not in extract_constants(psi):
@@ -114,9 +102,9 @@ class StretchFunction:
     def compiled(self, comm: MPI.Comm) -> tuple[Any, Any]:
         """FFCx's kernel of the jet and the module it lives in. Collective at the first call."""
         if comm.size > 1:  # a cache that ranks might see differently would let one wait for ever
-            return _jit.compiled(comm, (self.jet, np.zeros((1, 1))))
+            return _jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
         if self._compiled is None:
-            self._compiled = _jit.compiled(comm, (self.jet, np.zeros((1, 1))))
+            self._compiled = _jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
         return self._compiled
 
     def _states(self) -> NDArray[np.float64]:
@@ -200,7 +188,14 @@ def _leaves(psi: Expr, probe: Expr) -> list[Expr]:
                 found[e] = None
         else:
             stack.extend(reversed(e.ufl_operands))
-    return list(found)
+    # UFL sorts operands by their names as words, c_10 before c_9: in the order of their numbers the
+    # compiled text does not depend on how many there were before.
+    return sorted(found, key=_number)
+
+
+def _number(leaf: Expr) -> int:
+    counted = isinstance(leaf, ufl.classes.Constant | ufl.classes.Coefficient)
+    return leaf.count() if counted else -1
 
 
 def _components(leaf: Expr) -> list[Expr]:
