@@ -12,6 +12,8 @@ import hashlib
 import logging
 import os
 import platform
+import shlex
+import subprocess
 import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,8 +47,8 @@ def flags(comm: MPI.Comm) -> list[str]:
     chosen = list(jit.get_options()["cffi_extra_compile_args"])
     if chosen not in _DEFAULTS:
         return chosen
-    alike = comm.size == 1 or len(set(comm.allgather(_cpu()))) == 1
-    own = ["-march=native", f"-DVARIFORM_CPU={_cpu()}"] if alike else []
+    alike = comm.size == 1 or len(set(comm.allgather((_cpu(), *_native())))) == 1
+    own = [*_native(), f"-DVARIFORM_CPU={_cpu()}"] if alike else []
     return ["-O3", *own, *REORDER]
 
 
@@ -190,6 +192,20 @@ def alike(comm: MPI.Comm, compile: Callable[[], Any], what: str) -> Any:
     if any(word in failure for word in _COMPILERS):
         hint = f": is a C compiler installed ({compiler()}), and {folder()} writable?"
     raise RuntimeError(f"compiling {what} failed ({failure}){hint}")
+
+
+@cache
+def _native() -> list[str]:
+    """The compiler's option for the CPU's own instructions; empty where it has none."""
+    command = [*shlex.split(compiler()), "-x", "c", "-fsyntax-only", os.devnull]
+    for option in ("-march=native", "-mcpu=native"):
+        try:
+            done = subprocess.run([*command, option], capture_output=True, check=False)
+        except OSError:  # no compiler: what the cache holds was made with the first
+            return ["-march=native"]
+        if done.returncode == 0:
+            return [option]
+    return []
 
 
 @cache

@@ -3,10 +3,14 @@
 
 import os
 import random
+import shutil
 import signal
+import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -17,7 +21,7 @@ from dolfinx import fem
 from demos.benchmarks.kills import kill, start
 from forms import _canonical, _jit, _once, energies
 from forms.operators import energy as operators
-from forms.operators import stretches
+from forms.operators import library, stretches
 
 HANGS = 900  # s; against hangs only
 
@@ -336,3 +340,63 @@ def test_what_is_there_is_used_without_a_lock(tmp_path, monkeypatch):
     place.write_text("whole")
     _once.make_once(place, lambda folder: folder)
     assert place.read_text() == "whole"
+
+
+STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wcast-qual", "-Wpedantic", "-Werror"]
+
+
+@pytest.mark.parametrize("data", [[], ["-DVARIFORM_CUSTOM_DATA"]], ids=["0.9", "0.10"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_the_c_code_compiles_without_a_warning(compiler, data):
+    """The library, and each of its headers by itself, for both of DOLFINx's kernel signatures."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    options = ["-std=c17", "-O2", "-march=native", *STRICT, *data, "-fsyntax-only", "-x", "c"]
+    sources = [library.SOURCE / "library.c", *sorted(library.SOURCE.glob("*.h"))]
+    assert len(sources) > 8
+    for source in sources:
+        # Functions of a header that nobody calls yet are no fault of it.
+        alone = [] if source.suffix == ".c" else ["-Wno-unused-function", "-Wno-unused-variable"]
+        text = f'#include "{source}"\n'
+        command = [compiler, *options, *alone, "-"]
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{source.name}: {done.stderr}"
+
+
+COMPILER = """#!/bin/sh
+for word; do
+    case $word in {refused}) echo "unknown value 'native' for $word" >&2; exit 1 ;; esac
+done
+exec gcc "$@"
+"""
+
+
+@pytest.mark.parametrize(
+    ("refused", "native"),
+    [
+        ("-none", ["-march=native"]),
+        ("-march=native", ["-mcpu=native"]),
+        ("-m*=native", []),
+    ],
+)
+def test_a_compiler_without_march_native_is_served(refused, native, tmp_path, monkeypatch):
+    """Where -march=native is refused, -mcpu=native is tried, as clang on arm64 wants, or none."""
+    other = tmp_path / "cc"
+    other.write_text(COMPILER.format(refused=refused))
+    other.chmod(0o755)
+    monkeypatch.setenv("CC", str(other))
+    _jit._native.cache_clear()
+    try:
+        assert [f for f in _jit.flags(MPI.COMM_SELF) if "native" in f] == native
+    finally:
+        _jit._native.cache_clear()
+
+
+def test_structures_are_compared_with_the_librarys(monkeypatch):
+    """Python's declaration of a C structure with a field less is refused when it is loaded."""
+    flags = tuple(_jit.flags(MPI.COMM_SELF))
+    library.library(MPI.COMM_SELF)
+    shorter = library._DECLARATIONS.replace("int facets; long count;", "long count;")
+    monkeypatch.setattr(library, "_DECLARATIONS", shorter)
+    with pytest.raises(RuntimeError, match="declares other structures than Python"):
+        library._load.__wrapped__(library._path(flags))

@@ -831,7 +831,7 @@ def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch)
             pytest.skip(f"the compiler has no {name}")
         libraries.append(found)
     flags = ["-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
-    flags += [f for f in _jit.flags(MPI.COMM_SELF) if f == "-march=native"]
+    flags += _jit._native()
     options = {"cffi_extra_compile_args": flags}
     (tmp_path / "dolfinx_jit_options.json").write_text(json.dumps(options))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -109,7 +109,7 @@ static void integrate(int k, double *A, const double *w, const double *c, const 
 }
 
 #ifdef VARIFORM_CUSTOM_DATA
-#define KERNEL_END , void *custom
+#define KERNEL_END , void *custom __attribute__((unused))
 #else
 #define KERNEL_END
 #endif
