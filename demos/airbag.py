@@ -21,8 +21,7 @@ import matplotlib
 import numpy as np
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -69,7 +68,7 @@ found = np.array(list(study.values()))
 
 # %%
 body, path, F = blown_up(0.02, 1, tension_field)
-I1, I2, I3 = forms.membrane_invariants(F)
+I1, I2, I3 = forms.membranes.membrane_invariants(F)
 narrow = (I1 - ufl.sqrt(ufl.max_value(I2 - 2 * I3, 0))) / 2
 forms.picture(path, folder / "airbag.png", narrow, "smaller stretch\n(wrinkled\nbelow 1)")
 vtx = forms.VTX(folder / "airbag.bp", path.u)

@@ -20,8 +20,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-import forms
-import meshes
+from variform import forms, meshes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -79,7 +78,7 @@ vtx.close()
 disk = np.array([step.load for step in path.steps])
 height = path.record("apex")
 say(path.reason)
-area = forms.membrane_invariants(forms.membrane_gradient(u))[2]
+area = forms.membranes.membrane_invariants(forms.membrane_gradient(u))[2]
 forms.picture(path, folder / "balloon.png", 1 / area, "thickness over\nthat at rest")
 
 # %% [markdown]

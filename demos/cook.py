@@ -19,8 +19,7 @@ from mpi4py import MPI
 import matplotlib
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

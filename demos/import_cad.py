@@ -20,8 +20,7 @@ import gmsh
 import numpy as np
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 folder = Path("results/import_cad")
 comm = MPI.COMM_WORLD

@@ -20,8 +20,7 @@ import numpy as np
 import ufl
 from matplotlib.figure import Figure
 
-import forms
-import meshes
+from variform import forms, meshes
 
 folder = Path("results/reese")
 comm = MPI.COMM_WORLD

@@ -19,8 +19,7 @@ import matplotlib
 import numpy as np
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -18,8 +18,7 @@ import numpy as np
 import ufl
 from matplotlib.figure import Figure
 
-import forms
-import meshes
+from variform import forms, meshes
 
 (folder := Path("results/sheet_or_solid")).mkdir(parents=True, exist_ok=True)
 comm = MPI.COMM_WORLD
@@ -79,13 +78,13 @@ def row(model, *size, runs=3):
     for _ in range(runs):
         w.x.array[:] = 0
         u.interpolate(lambda x: np.outer((0, 0, 0.6 * a), 1 - (x[0] ** 2 + x[1] ** 2) / a**2))
-        start, newton = time.process_time(), forms.Newton(system)
+        start, newton = time.process_time(), forms.solving.Newton(system)
         outcome = newton.solve()
         seconds.append(comm.allreduce(time.process_time() - start, MPI.MAX))
         newton.destroy()
     apex = forms.at(forms.displacement_of(w), (0, 0, 0))[2]
     say(f"{model.__name__}: {cells:3} cells, apex at {apex:.4f} mm, {min(seconds):.4f} s CPU")
-    path = forms.Path(w, system, [forms.Step(1.0, outcome, {})], completed=outcome.converged)
+    path = forms.Path(w, system, [forms.paths.Step(1.0, outcome, {})], completed=outcome.converged)
     return path, (cells, apex, min(seconds), outcome.converged)
 
 

@@ -22,8 +22,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-import forms
-import meshes
+from variform import forms, meshes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -18,8 +18,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 folder = Path("results/twist")
 comm = MPI.COMM_WORLD

@@ -1,64 +1,32 @@
 # SPDX-License-Identifier: MIT
 """variform: from an energy density in UFL to residual, tangent and solution by PETSc SNES."""
 
-from . import _together, energies, stress
-from .assembly import System, system
+if __name__ == "forms":
+    raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
+
+from . import _together, by_hand, energies, kinematics, membranes, operators, stress
+from .assembly import system
+from .compilation import compiled
 from .condensation import plane_stress
 from .fields import field
+from .files.checkpoint import Checkpoint
+from .files.pictures import picture
+from .files.tables import summary
+from .files.vtx import VTX
 from .kinematics import (
-    almansi_strain,
     axisymmetric,
     circumference,
     deformation_gradient,
-    deformed_fiber,
     fiber_invariants,
-    green_strain,
-    invariants,
     isochoric,
-    left_cauchy_green,
-    material_product,
     plane_stress_incompressible,
-    right_cauchy_green,
-    spatial_product,
-    volume_ratio,
 )
 from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
-from .membranes import (
-    area_vector,
-    enclosed_volume,
-    incompressible_sheet,
-    membrane_gradient,
-    membrane_invariants,
-    membrane_pressure,
-    orientation,
-)
-from .operators import SingularValueEnergy, compiled
-from .output import VTX, summary
-from .pictures import picture
-from .results import (
-    at,
-    displacement_of,
-    integral,
-    resultant,
-    smallest_volume_ratio,
-    volume,
-)
-from .solve import (
-    Convergence,
-    Newton,
-    NotConverged,
-    Path,
-    Step,
-    arc_length,
-    control,
-    follow,
-    lowest_modes,
-    negative_eigenvalues,
-    solve,
-)
-from .solve.checkpoint import Checkpoint
+from .membranes import enclosed_volume, membrane_gradient, membrane_pressure, orientation
+from .paths import NotConverged, Path
+from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
+from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
 from .supports import (
-    Support,
     clamp,
     displacement,
     displacement_pressure,
@@ -69,15 +37,7 @@ from .supports import (
     rotate,
     translate,
 )
-from .variation import (
-    derivative,
-    linearized_material,
-    linearized_spatial,
-    material_virtual_work,
-    residual,
-    spatial_virtual_work,
-    tangent,
-)
+from .variation import derivative, residual, tangent
 
 _together.end_together()
 
@@ -91,22 +51,13 @@ __all__ = [  # in the order a user meets them
     "plane_stress",
     "plane_stress_incompressible",
     "membrane_gradient",
-    "membrane_invariants",
-    "area_vector",
-    "incompressible_sheet",
     "orientation",
-    "right_cauchy_green",
-    "left_cauchy_green",
-    "volume_ratio",
     "isochoric",
-    "green_strain",
-    "almansi_strain",
-    "spatial_product",
-    "material_product",
-    "invariants",
-    "deformed_fiber",
     "fiber_invariants",
+    "kinematics",
+    "membranes",
     "energies",
+    "operators",
     "stress",
     "body_force",
     "dead_traction",
@@ -115,7 +66,6 @@ __all__ = [  # in the order a user meets them
     "membrane_pressure",
     "enclosed_volume",
     "spring",
-    "Support",
     "clamp",
     "roller",
     "translate",
@@ -125,13 +75,8 @@ __all__ = [  # in the order a user meets them
     "derivative",
     "residual",
     "tangent",
-    "spatial_virtual_work",
-    "material_virtual_work",
-    "linearized_material",
-    "linearized_spatial",
-    "SingularValueEnergy",
+    "by_hand",
     "compiled",
-    "System",
     "system",
     "solve",
     "follow",
@@ -141,9 +86,6 @@ __all__ = [  # in the order a user meets them
     "negative_eigenvalues",
     "lowest_modes",
     "Path",
-    "Step",
-    "Newton",
-    "Convergence",
     "NotConverged",
     "resultant",
     "at",
@@ -156,3 +98,35 @@ __all__ = [  # in the order a user meets them
     "summary",
     "picture",
 ]
+
+_MOVED = {
+    **dict.fromkeys(by_hand.__all__, "by_hand"),
+    **dict.fromkeys(
+        (
+            "almansi_strain",
+            "deformed_fiber",
+            "green_strain",
+            "invariants",
+            "left_cauchy_green",
+            "material_product",
+            "right_cauchy_green",
+            "spatial_product",
+            "volume_ratio",
+        ),
+        "kinematics",
+    ),
+    **dict.fromkeys(("area_vector", "incompressible_sheet", "membrane_invariants"), "membranes"),
+    "Convergence": "paths",
+    "Newton": "solving",
+    "SingularValueEnergy": "operators",
+    "Step": "paths",
+    "Support": "supports",
+    "System": "assembly",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Say where a name of earlier versions is now."""
+    if name in _MOVED:
+        raise AttributeError(f"forms.{name} is now forms.{_MOVED[name]}.{name}.")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}.")

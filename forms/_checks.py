@@ -10,7 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-Expr = Any  # UFL ships no types
+from ._types import Expr
 
 
 def function(u: Any, what: str) -> fem.Function:

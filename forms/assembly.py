@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx, insertion
+from .compilation import compiled
+from .differentiation import Dependent, dependents, expanded
 from .loads import with_kinematics
-from .operators.chain import Dependent, dependents, expanded
 from .operators.jets import Jet
-from .operators.lowering import compiled
 from .quadrature import with_quadrature
 from .supports import Support, is_mixed
 from .variation import residual, tangent
@@ -46,15 +46,15 @@ class System:
     supports: Sequence[Support]
     minimization: bool
     symmetric: bool
-    _energy: fem.Form | None
-    _residual: fem.Form
-    _tangent: fem.Form
-    _tangent_form: ufl.Form
+    energy_form: fem.Form | None
+    residual_form: fem.Form
+    tangent_form: fem.Form
+    tangent_ufl: ufl.Form
     _dependents: list[Dependent]
     constants: tuple[fem.Constant, ...]
     potential: ufl.Form
     constrained: NDArray[np.int32] = field(init=False)
-    _projected: fem.Form | None = field(init=False, default=None)
+    projected_form: fem.Form | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         imap, bs = self.u.function_space.dofmap.index_map, self.u.function_space.dofmap.bs
@@ -77,7 +77,7 @@ class System:
     @property
     def has_energy(self) -> bool:
         """Whether a potential was given."""
-        return self._energy is not None
+        return self.energy_form is not None
 
     def depends_on(self, t: fem.Constant) -> bool:
         """Whether the forms or the supports contain a constant."""
@@ -109,19 +109,19 @@ class System:
 
     def energy(self) -> float:
         """Potential at u [J] over all ranks; 0 where only a residual was given. Collective."""
-        if self._energy is None:
+        if self.energy_form is None:
             return 0.0
         self.update_dependents()
         with np.errstate(all="ignore"):
-            return float(self.comm.allreduce(fem.assemble_scalar(self._energy)))
+            return float(self.comm.allreduce(fem.assemble_scalar(self.energy_form)))
 
     def create_vector(self) -> PETSc.Vec:
         """PETSc vector of the unknown's layout, with ghosts."""
-        return _dolfinx.create_vector(self._residual)
+        return _dolfinx.create_vector(self.residual_form)
 
     def create_matrix(self) -> PETSc.Mat:
         """PETSc AIJ matrix for the tangent; marked symmetric where it is."""
-        A = insertion.create_matrix(self._tangent, self.conditions)
+        A = insertion.create_matrix(self.tangent_form, self.conditions)
         if self.symmetric:
             A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             A.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -136,7 +136,7 @@ class System:
         self.update_dependents()
         with b.localForm() as local:
             local.set(0)
-        fem_petsc.assemble_vector(b, self._residual)
+        fem_petsc.assemble_vector(b, self.residual_form)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def lifted_residual(self, b: PETSc.Vec) -> None:
@@ -147,9 +147,9 @@ class System:
         self.update_dependents()
         with b.localForm() as local:
             local.set(0)
-        fem_petsc.assemble_vector(b, self._residual)
+        fem_petsc.assemble_vector(b, self.residual_form)
         x = self.u.x.petsc_vec
-        fem_petsc.apply_lifting(b, [self._tangent], bcs=[self.conditions], x0=[x], alpha=-1.0)
+        fem_petsc.apply_lifting(b, [self.tangent_form], bcs=[self.conditions], x0=[x], alpha=-1.0)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
@@ -164,11 +164,11 @@ class System:
         Raises:
             ValueError: projected, where the potential is none of the displacement alone.
         """
-        form = self._tangent
+        form = self.tangent_form
         if projected:
             self.prepare_projection()
-            assert self._projected is not None
-            form = self._projected
+            assert self.projected_form is not None
+            form = self.projected_form
         self.update_dependents()
         insertion.assemble(A, form, self.conditions)
 
@@ -184,8 +184,8 @@ class System:
                 "a projected tangent needs a potential of the displacement alone, got a mixed "
                 "unknown, a virtual work or a residual: solve with projection='never'."
             )
-        if self._projected is None:
-            self._projected = compiled(self._tangent_form, project=True)
+        if self.projected_form is None:
+            self.projected_form = compiled(self.tangent_ufl, project=True)
 
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""
@@ -240,10 +240,10 @@ def system(
         supports=supports,
         minimization=energetic and not mixed,
         symmetric=energetic,
-        _energy=compiled(potential) if is_energy else None,
-        _residual=compiled(R),
-        _tangent=compiled(K),
-        _tangent_form=K,
+        energy_form=compiled(potential) if is_energy else None,
+        residual_form=compiled(R),
+        tangent_form=compiled(K),
+        tangent_ufl=K,
         _dependents=[c for c in found if not isinstance(c, Jet)],
         constants=tuple(c for part in parts for c in extract_constants(part)),
         potential=potential,

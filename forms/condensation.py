@@ -10,9 +10,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from . import _jit
-from .kinematics import Expr, _dimension, _embed
-from .operators.chain import Pointwise, contains
+from ._types import Expr
+from .differentiation import Pointwise, contains
+from .kinematics import _dimension, _embed
+from .native import jit
 
 MAX_ITERATIONS = 50
 
@@ -37,7 +38,7 @@ class ThicknessStretch(fem.Function):
         self._mixed = ufl.as_tensor(A[2, 2, i, J], (i, J))
         self._slope = A[2, 2, 2, 2]
         points = Q.custom_quadrature()[0]
-        self._newton = _jit.expression(ufl.as_vector([P[2, 2], self._slope]), points, mesh)
+        self._newton = jit.expression(ufl.as_vector([P[2, 2], self._slope]), points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
 

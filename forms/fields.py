@@ -12,12 +12,13 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from ufl.algorithms import extract_coefficients
 
-from . import _checks, _dolfinx, _jit
-from .kinematics import Expr
-from .operators.chain import update_dependents
+from . import _checks, _dolfinx
+from ._types import Expr
+from .compilation import compiled
+from .differentiation import update_dependents
+from .native import jit
 from .operators.evaluate import at_points
 from .operators.jets import Jet
-from .operators.lowering import compiled
 
 
 def field(expression: Expr, mesh: Any, degree: int = 1, name: str = "field") -> fem.Function:
@@ -71,7 +72,7 @@ class Evaluation:
         if not self._projected:
             points = _dolfinx.interpolation_points(V)
             self._source = at_points(expression, V.mesh, points)
-            self._expression = _jit.expression(self._source, points, V.mesh)
+            self._expression = jit.expression(self._source, points, V.mesh)
             return
         dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": max(degrees)})
         v, w = ufl.TestFunction(V), ufl.TrialFunction(V)

@@ -22,7 +22,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from . import _dolfinx, _petsc
-from .operators.library import library
+from .native.library import library
 
 _NAME = "variform_insertion"
 _WIDTHS = {fem.IntegralType.cell: 1, fem.IntegralType.exterior_facet: 2}  # numbers of an entity

@@ -8,15 +8,12 @@ Equation numbers are those of document 003 (see forms/README.md).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import ufl
 
 from . import _dolfinx
 from ._checks import direction, vector
-
-Expr = Any  # UFL ships no types
+from ._types import Expr
 
 
 def deformation_gradient(u: Expr) -> Expr:

@@ -19,15 +19,9 @@ from ufl.checks import is_cellwise_constant
 from ufl.corealg.multifunction import MultiFunction
 
 from ._checks import measure, vector
-from .kinematics import (
-    Expr,
-    Revolved,
-    axisymmetric,
-    circumference,
-    deformation_gradient,
-    is_axisymmetric,
-)
-from .operators.chain import nodes
+from ._types import Expr
+from .differentiation import nodes
+from .kinematics import Revolved, axisymmetric, circumference, deformation_gradient, is_axisymmetric
 
 
 def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:

@@ -17,7 +17,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from . import _checks, _dolfinx
-from .kinematics import Expr
+from ._types import Expr
 
 
 def membrane_gradient(u: Expr) -> Expr:

@@ -9,7 +9,8 @@ import ufl
 from ufl.checks import is_cellwise_constant
 
 from . import _dolfinx
-from .operators.chain import Dependent, Expr, nodes
+from ._types import Expr
+from .differentiation import Dependent, nodes
 
 SIMPLICES = ("interval", "triangle", "tetrahedron")
 _GRADIENTS = (

@@ -15,14 +15,15 @@ from dolfinx import fem, geometry
 from numpy.typing import NDArray
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
-from . import _checks, _dolfinx, _jit
+from . import _checks, _dolfinx
 from ._parallel import bounding_box
+from ._types import Expr
 from .assembly import System
+from .compilation import compiled as compile_form
+from .differentiation import update_dependents
 from .fields import quadrature_degrees
-from .kinematics import Expr
 from .loads import with_kinematics
-from .operators.chain import update_dependents
-from .operators.lowering import compiled as compile_form
+from .native import jit
 from .supports import is_mixed
 
 Array = NDArray[np.float64]
@@ -168,7 +169,7 @@ def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
     points, _ = basix.make_quadrature(cell, max(at_points, default=degree))
     update_dependents(F)
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    values = _jit.expression(ufl.det(F), points, mesh).eval(mesh, owned)
+    values = jit.expression(ufl.det(F), points, mesh).eval(mesh, owned)
     return float(mesh.comm.allreduce(float(np.min(values, initial=np.inf)), MPI.MIN))
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import ufl
 from ufl.corealg.traversal import unique_pre_traversal
 
-from .kinematics import Expr
-from .operators.chain import diff
+from ._types import Expr
+from .differentiation import diff
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))  # (27): 11, 22, 33, 12, 23, 13
 

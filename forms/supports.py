@@ -19,9 +19,10 @@ from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_type
 
-from . import _checks, _dolfinx, _jit
+from . import _checks, _dolfinx
 from ._parallel import bounding_box
-from .kinematics import Expr
+from ._types import Expr
+from .native import jit
 
 Facets = NDArray[np.int32]
 
@@ -289,7 +290,7 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
         g.x.array[:] = np.tile(constant, g.x.array.size // len(values))
     else:
         value = ufl.as_vector(values) if len(values) > 1 else ufl.as_ufl(values[0])
-        expression = _jit.expression(value, _dolfinx.interpolation_points(W), W.mesh)
+        expression = jit.expression(value, _dolfinx.interpolation_points(W), W.mesh)
     # Not only the cells at the facets: a rank may own a dof whose facet lives elsewhere.
     touched = np.isin(W.dofmap.list, own).any(axis=1)
     bc = fem.dirichletbc(g, dofs) if whole else fem.dirichletbc(g, dofs, view)

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bodies: meshes whose boundaries and regions have names, made by gmsh or read from files."""
 
+if __name__ == "meshes":
+    raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
+
 from .blocks import block, cook
 from .body import Body
 from .fibers import ellipsoid_depth, ellipsoid_fiber_field, ellipsoid_fibers

@@ -10,11 +10,10 @@ import recorder
 import ufl
 from dolfinx import fem, mesh
 
-import forms
-import meshes
-from forms import energies, stress
-from forms.operators.chain import update_dependents
-from forms.operators.evaluate import at_points
+from variform import forms, meshes
+from variform.forms import energies, stress
+from variform.forms.differentiation import update_dependents
+from variform.forms.operators.evaluate import at_points
 
 MU, LMBDA, KAPPA = 1.3, 2.1, 4.0
 FIBER = np.array([0.8, 0.6, 0.0])

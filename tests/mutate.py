@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How many wrong formulas do the tests notice? Mutants of forms/formulas and forms/operators.
+"""How many wrong formulas do the tests notice? Mutants of the formulas, operators and kernels.
 
 ``docker/enter python3 -m tests.mutate --count 300 --seed 1 --minutes 60`` copies the repository
 into a scratch folder, changes one operator, sign, comparison, constant or term at a time there, and
@@ -43,6 +43,7 @@ TESTS = {
     "formulas/shapes.py": ["test_formulas_element"],
     "formulas/svd_derivatives.py": ["test_formulas_svd", "test_formulas_derivation"],
     "operators/": OPERATORS,
+    "native/kernels/": OPERATORS,
 }
 SWAPS = {
     **{ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Pow: "*"},
@@ -206,7 +207,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=60.0, help="stop after this time")
     parser.add_argument("--limit", type=float, default=300.0, help="seconds for one mutant")
-    parser.add_argument("--only", default="", help="part of the path, as operators/kernels")
+    parser.add_argument("--only", default="", help="part of the path, as native/kernels")
     parser.add_argument("--folder", type=Path, default=Path("results/mutants"), help="scratch")
     parser.add_argument(
         "--survivors",
@@ -224,7 +225,7 @@ def main(arguments: list[str] | None = None) -> None:
         shutil.copytree(ROOT, copy, ignore=unwanted)
     sources = {
         str(file.relative_to(copy)): file.read_bytes()
-        for folder in ("formulas", "operators")
+        for folder in ("formulas", "operators", "native/kernels")
         for file in sorted((copy / "forms" / folder).rglob("*"))
         if file.suffix in (".py", ".c", ".h") and file.name not in ("__init__.py", "library.c")
     }
@@ -269,7 +270,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def report(sample: list[Mutant], done: dict[Mutant, str]) -> None:
     """Caught and survived, per folder."""
-    for folder in ("forms/formulas", "forms/operators", "forms/operators/kernels"):
+    for folder in ("forms/formulas", "forms/operators", "forms/native/kernels"):
         at = [done[m] for m in sample if m in done and str(Path(m.path).parent) == folder]
         caught = sum(outcome in ("failed", TOO_SLOW) for outcome in at)
         print(

@@ -20,10 +20,9 @@ from cases import at_plane, unit_mesh
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-import forms
-import meshes
-from forms.solve import linear as linear_presets
-from forms.solve.checkpoint import Archive
+from variform import forms, meshes
+from variform.forms.files.checkpoint import Archive
+from variform.forms.solving.linear import presets as linear_presets
 
 
 def neo_hookean(u):
@@ -173,7 +172,7 @@ def test_a_completed_path_comes_back_at_once(tmp_path, monkeypatch, capsys):
     done = follow(shear(), tmp_path, every=4, **slow)
     assert capsys.readouterr().err == ""
     before = names(tmp_path)
-    monkeypatch.setattr(forms.Newton, "solve", None)
+    monkeypatch.setattr(forms.solving.Newton, "solve", None)
     path = follow(shear(), tmp_path, on_step=stop_after(len(done.steps)))
     assert capsys.readouterr().err == f"Resumed at load factor 1 from {tmp_path}.\n"
     assert path.completed and path.reason == done.reason and path.seconds > 0.6
@@ -421,8 +420,8 @@ import json, sys
 from mpi4py import MPI
 import basix.ufl, numpy as np
 from dolfinx import fem, mesh
-import forms, meshes
-from forms.solve.checkpoint import Archive
+from variform import forms, meshes
+from variform.forms.files.checkpoint import Archive
 
 folder, what = sys.argv[1:]
 comm = MPI.COMM_WORLD
@@ -453,7 +452,8 @@ for name, body in bodies.items():
             assert not u.x.array.any()
             errors = np.abs(found - wanted).max(), np.abs(other - 2 * wanted).max()
             off[f"{name} {degree}"] = comm.allreduce(max(errors), MPI.MAX)
-        step = forms.Step(0.5, forms.Convergence(True, "", 2, 1, 0, 1, 0.0, 0.0, 0.0, ()), {})
+        outcome = forms.paths.Convergence(True, "", 2, 1, 0, 1, 0.0, 0.0, 0.0, ())
+        step = forms.paths.Step(0.5, outcome, {})
         archive.write([wanted, 2 * wanted], [step] * int(what), {}, now=True)
 if comm.rank == 0:
     print(json.dumps(off))
@@ -475,7 +475,7 @@ PATH = """
 import json, sys
 from mpi4py import MPI
 import ufl
-import forms, meshes
+from variform import forms, meshes
 
 scene, folder, stop, rtol = sys.argv[1], sys.argv[2], float(sys.argv[3]), float(sys.argv[4])
 comm = MPI.COMM_WORLD
@@ -544,7 +544,8 @@ def test_a_path_goes_on_on_ranks(scene, ranks, rtol, allowed, run, parallel, tmp
 FAILURES = """
 import pathlib, resource, sys, warnings
 from mpi4py import MPI
-import forms, meshes, ufl
+import ufl
+from variform import forms, meshes
 
 comm = MPI.COMM_WORLD
 
@@ -603,15 +604,15 @@ MOMENTS = """
 import io, json, os, signal, sys, warnings
 from mpi4py import MPI
 import numpy as np
-import forms, meshes
-import forms.solve.checkpoint
+from variform import forms, meshes
+import variform.forms.files.checkpoint
 
 warnings.simplefilter("error")  # none is broken
-checkpoint = sys.modules["forms.solve.checkpoint"]
+checkpoint = sys.modules["variform.forms.files.checkpoint"]
 die = lambda: os.kill(os.getpid(), signal.SIGKILL)
 u = forms.displacement(meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=(40, 40)))
 size = len(u.x.array)
-step = forms.Step(0.5, forms.Convergence(True, "", 2, 1, 0, 1, 0.0, 0.0, 0.0, ()), {})
+step = forms.paths.Step(0.5, forms.paths.Convergence(True, "", 2, 1, 0, 1, 0.0, 0.0, 0.0, ()), {})
 
 def write(archive, number):
     archive.write(2 * [np.full(size, 1.0 * number)], number * [step], {"number": number})
@@ -675,7 +676,7 @@ import sys
 from mpi4py import MPI
 import os
 import numpy as np, ufl
-import forms, meshes
+from variform import forms, meshes
 
 folder, to = sys.argv[1], float(sys.argv[2])
 comm = MPI.COMM_WORLD

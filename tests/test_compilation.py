@@ -19,9 +19,13 @@ from cases import LMBDA, MU, unit_mesh
 from dolfinx import fem
 
 from demos.benchmarks.kills import kill, start
-from forms import _canonical, _jit, _once, energies
-from forms.operators import energy as operators
-from forms.operators import library, stretches
+from variform.forms import energies
+from variform.forms.native import canonical as _canonical
+from variform.forms.native import jit as _jit
+from variform.forms.native import library
+from variform.forms.native import once as _once
+from variform.forms.operators import energy as operators
+from variform.forms.operators import stretches
 
 HANGS = 900  # s; against hangs only
 
@@ -34,7 +38,7 @@ EVALUATED = """
 import sys
 import numpy as np
 import ufl
-from forms import energies
+from variform.forms import energies
 for _ in range(int(sys.argv[1])):
     ufl.variable(ufl.as_ufl(1.0))
     ufl.Constant(ufl.Mesh(__import__("basix.ufl").ufl.element("P", "interval", 1, shape=(1,))))
@@ -59,8 +63,8 @@ import sys
 from mpi4py import MPI
 import ufl
 from dolfinx import fem, mesh
-import forms
-from forms import energies, stress
+from variform import forms
+from variform.forms import energies, stress
 body = mesh.create_unit_square(MPI.COMM_WORLD, 1, 2)
 made = []
 for _ in range(int(sys.argv[1])):
@@ -161,7 +165,7 @@ COLD = """
 from mpi4py import MPI
 import ufl
 from dolfinx import mesh
-import forms
+from variform import forms
 body = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
 F = forms.deformation_gradient(forms.displacement(body, degree=2))
 C = forms.stress.spatial_elasticity(forms.energies.neo_hookean(F, 1.0, 1.0), F)
@@ -202,7 +206,7 @@ def test_a_killed_compile_leaves_nothing_to_wait_for(how, run, tmp_path, monkeyp
 ONCE = """
 import sys, time
 from pathlib import Path
-from forms._once import make_once
+from variform.forms.native.once import make_once
 place, log = Path(sys.argv[1]), Path(sys.argv[2])
 def make(folder):
     with log.open("a") as file:
@@ -295,7 +299,7 @@ def test_a_slow_compile_of_another_is_no_failure(tmp_path):
 ONE_RANK_ALONE = """
 from mpi4py import MPI
 import numpy as np
-from forms.operators.stretches import StretchFunction
+from variform.forms.operators.stretches import StretchFunction
 function = StretchFunction(lambda a, b: a**4 + b**4, 2, "psi_hat")
 if MPI.COMM_WORLD.rank == 1:
     function.compiled(MPI.COMM_SELF)

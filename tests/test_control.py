@@ -9,8 +9,7 @@ import ufl
 from cases import rates
 from dolfinx import fem
 
-import forms
-import meshes
+from variform import forms, meshes
 
 
 def sphere(h, degree, comm=MPI.COMM_SELF):
@@ -112,7 +111,7 @@ SCRIPT = """
 import json, sys
 sys.path.insert(0, {tests!r})
 from mpi4py import MPI
-import forms
+from variform import forms
 from test_control import sphere
 potential, u, held, p, volume = sphere(0.4, 2, MPI.COMM_WORLD)
 start = forms.integral(volume)

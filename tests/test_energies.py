@@ -19,7 +19,7 @@ from cases import (
     random_state,
 )
 
-from forms import energies
+from variform.forms import energies
 
 EVERY = ENERGIES | STRETCHES
 every_energy = pytest.mark.parametrize("name", EVERY)

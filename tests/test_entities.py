@@ -8,15 +8,15 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
-import forms
-from forms import energies
+from variform import forms
+from variform.forms import energies
 
 LISTED = """
 import json
 from mpi4py import MPI
 import numpy as np, ufl
 from dolfinx import cpp, fem, mesh
-import forms
+from variform import forms
 
 COMM = MPI.COMM_WORLD
 body = mesh.create_unit_square(COMM, 9, 9, ghost_mode=mesh.GhostMode.shared_facet)
@@ -82,7 +82,7 @@ WRONG = """
 from mpi4py import MPI
 import numpy as np, ufl
 from dolfinx import mesh
-import forms
+from variform import forms
 
 body = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
 cells = np.arange(3) if MPI.COMM_WORLD.rank == 0 else np.array([0, 4711])

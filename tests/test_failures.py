@@ -11,10 +11,9 @@ from cases import at_plane, bending, unit_mesh, whole
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-import forms
-import meshes
-from forms.solve import linear as linear_presets
-from forms.solve.supported import free_motions
+from variform import forms, meshes
+from variform.forms.solving.linear import presets as linear_presets
+from variform.forms.solving.supported import free_motions
 
 
 def test_a_failed_path_keeps_the_last_converged_state():
@@ -111,8 +110,9 @@ def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
     else:
         work = forms.residual(load, u)
     seen = []
-    energy = forms.System.energy
-    monkeypatch.setattr(forms.System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
+    System = forms.assembly.System
+    energy = System.energy
+    monkeypatch.setattr(System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
     forms.solve(potential, u, supports, virtual_work=work)
     assert not np.all(np.isfinite(seen))
     stretch = (-3 + np.sqrt(13)) / 2  # mu (L - 1/L) = -3 mu
@@ -312,7 +312,7 @@ def test_a_solve_that_is_interrupted_gives_the_old_state_back(monkeypatch):
     def interrupt(newton):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(forms.Newton, "solve", interrupt)
+    monkeypatch.setattr(forms.solving.Newton, "solve", interrupt)
     with pytest.raises(KeyboardInterrupt):
         forms.solve(psi, u, [forms.clamp(u, at_plane(mesh, 0, 0.0)), right])
     assert np.all(u.x.array == 0)
@@ -467,7 +467,8 @@ def test_only_pressures_get_the_field_split(is_pressure, monkeypatch):
     F = forms.deformation_gradient(u)
     psi = forms.energies.neo_hookean(F, 1.0, 0.0 if is_pressure else 2.0)
     psi = forms.energies.with_pressure(psi, F, a) if is_pressure else psi + a**2 / 2
-    newton = forms.Newton(forms.system(psi * ufl.dx, w, [forms.clamp(w, at_plane(mesh, 0, 0.0))]))
+    held = [forms.clamp(w, at_plane(mesh, 0, 0.0))]
+    newton = forms.solving.Newton(forms.system(psi * ufl.dx, w, held))
     kind = newton.snes.getKSP().getPC().getType()
     newton.destroy()
     assert kind == ("python" if is_pressure else "cholesky")
@@ -538,7 +539,7 @@ def test_a_slack_fiber_has_a_tangent(case, call):
 
 def test_branches_are_moved_out_of_powers_only_where_they_must():
     """Whole powers, exponentials and powers of other things stay what they are; values stay."""
-    from forms.operators.chain import with_branches_outside
+    from variform.forms.differentiation import with_branches_outside
 
     mesh = unit_mesh(2)
     x = fem.Constant(mesh, 0.0)

@@ -8,9 +8,8 @@ import pytest
 import ufl
 from cases import FIBER, Pointwise, fiber, random_rotation, random_state
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 WALLS = {
     "benchmark": {},

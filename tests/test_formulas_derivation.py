@@ -15,9 +15,9 @@ from cases import LMBDA, MU, agree, off, random_rotation
 from mpmath import mp
 from test_formulas_svd import ENERGIES, SMOOTH, STRETCHES, applies, exact
 
-from forms.formulas import derivation as de
-from forms.formulas import quotients as qu
-from forms.formulas import svd_derivatives as sd
+from variform.forms.formulas import derivation as de
+from variform.forms.formulas import quotients as qu
+from variform.forms.formulas import svd_derivatives as sd
 
 both = pytest.mark.parametrize("d", [2, 3])
 every_energy = pytest.mark.parametrize("name", ENERGIES)

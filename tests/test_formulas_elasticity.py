@@ -28,8 +28,8 @@ from conftest import ROOT
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from forms.formulas import elasticity as el
-from forms.formulas import materials as ma
+from variform.forms.formulas import elasticity as el
+from variform.forms.formulas import materials as ma
 
 EYE, H = np.eye(3), 1e-40
 BASIS = np.einsum("ik,jl->ijkl", EYE, EYE)  # BASIS[i, j] = e_i (x) e_j

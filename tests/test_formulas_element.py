@@ -15,11 +15,11 @@ from cases import ENERGIES, FIBER, LMBDA, MU, TRANSVERSE, agree, at_plane, off
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-import forms
-from forms.formulas import elasticity as el
-from forms.formulas import element as fe
-from forms.formulas import materials as ma
-from forms.formulas import quadrature, shapes
+from variform import forms
+from variform.forms.formulas import elasticity as el
+from variform.forms.formulas import element as fe
+from variform.forms.formulas import materials as ma
+from variform.forms.formulas import quadrature, shapes
 
 H = 1e-40
 CELLS = ("tet4", "tet10", "hex8", "hex27")

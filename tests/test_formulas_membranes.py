@@ -13,8 +13,8 @@ import recorder
 from cases import MU, agree, off, random_rotation
 from mpmath import mp
 
-from forms.formulas import membrane_eigensystems as me
-from forms.formulas import membrane_invariants as mi
+from variform.forms.formulas import membrane_eigensystems as me
+from variform.forms.formulas import membrane_invariants as mi
 
 H = 1e-40
 F0 = np.array([[1.1, 0.3], [-0.2, 0.7], [0.4, 0.25]])  # where misprints are measured

@@ -13,7 +13,7 @@ import pytest
 from cases import agree, off, random_rotation
 from mpmath import mp
 
-from forms.formulas import polar as po
+from variform.forms.formulas import polar as po
 
 EYE = np.eye(3)
 SYMMETRIC = np.array([[1.1, 0.2, -0.1], [0.2, 0.9, 0.15], [-0.1, 0.15, 1.3]])

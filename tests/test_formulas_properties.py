@@ -11,11 +11,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_formulas_svd import ENERGIES, LOGARITHMIC, SMOOTH
 
-from forms.formulas import membrane_eigensystems as me
-from forms.formulas import membrane_invariants as mi
-from forms.formulas import polar as po
-from forms.formulas import quotients as qu
-from forms.formulas import svd_derivatives as sd
+from variform.forms.formulas import membrane_eigensystems as me
+from variform.forms.formulas import membrane_invariants as mi
+from variform.forms.formulas import polar as po
+from variform.forms.formulas import quotients as qu
+from variform.forms.formulas import svd_derivatives as sd
 
 law = settings(max_examples=50, deadline=None, derandomize=True, database=None)
 numbers = st.floats(-0.5, 0.5)

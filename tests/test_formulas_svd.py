@@ -13,8 +13,8 @@ import pytest
 from cases import LMBDA, MU, agree, off, random_rotation
 from mpmath import mp
 
-from forms.formulas import quotients as qu
-from forms.formulas import svd_derivatives as sd
+from variform.forms.formulas import quotients as qu
+from variform.forms.formulas import svd_derivatives as sd
 
 H = 1e-40
 

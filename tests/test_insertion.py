@@ -8,9 +8,8 @@ import pytest
 import ufl
 from dolfinx.fem import petsc as fem_petsc
 
-import forms
-import meshes
-from forms import energies, insertion
+from variform import forms, meshes
+from variform.forms import energies, insertion
 
 SCENES = """
 import json, sys
@@ -18,10 +17,10 @@ from mpi4py import MPI
 import numpy as np, ufl
 from dolfinx import mesh
 from dolfinx.fem import petsc as fem_petsc
-import forms, meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
-Action = sys.modules["forms.solve.action"].Action
+Action = sys.modules["variform.forms.solving.linear.action"].Action
 COMM = MPI.COMM_WORLD
 
 
@@ -94,7 +93,7 @@ for name, scene in SCENES.items():
     for way, projected in ways.items():
         system.tangent(A, projected)
         system.tangent(A, projected)  # places hold, nothing is left of the first
-        form = system._projected if projected else system._tangent
+        form = system.projected_form if projected else system.tangent_form
         B = fem_petsc.create_matrix(form)
         fem_petsc.assemble_matrix(B, form, system.conditions)
         B.assemble()
@@ -135,15 +134,15 @@ def system():
 
 
 def assembled(system):
-    B = fem_petsc.create_matrix(system._tangent)
-    fem_petsc.assemble_matrix(B, system._tangent, system.conditions)
+    B = fem_petsc.create_matrix(system.tangent_form)
+    fem_petsc.assemble_matrix(B, system.tangent_form, system.conditions)
     B.assemble()
     return B
 
 
 def test_foreign_matrix_is_assembled_the_usual_way(system):
     """A matrix that was made elsewhere has no places, and gets the same numbers."""
-    A = fem_petsc.create_matrix(system._tangent)
+    A = fem_petsc.create_matrix(system.tangent_form)
     for _ in range(2):
         system.tangent(A)
         A.axpy(-1, assembled(system))

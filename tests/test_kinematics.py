@@ -10,9 +10,9 @@ import ufl
 from cases import random_state, unit_mesh
 from dolfinx import fem
 
-import forms
-from forms.operators.chain import dependents
-from meshes._dolfinx import create_mesh
+from variform import forms
+from variform.forms.differentiation import dependents
+from variform.meshes._dolfinx import create_mesh
 
 
 def evaluate(expression):
@@ -40,9 +40,9 @@ def test_strains_and_products_of_line_elements(rng):
     dx1, dx2 = F @ dX1, F @ dX2
     f, vectors = matrix(F), [ufl.as_vector(v.tolist()) for v in (dX1, dX2, dx1, dx2)]
     half_difference = (dx1 @ dx2 - dX1 @ dX2) / 2
-    assert evaluate(forms.spatial_product(f, *vectors[:2])) == pytest.approx(dx1 @ dx2)
-    assert evaluate(forms.material_product(f, *vectors[2:])) == pytest.approx(dX1 @ dX2)
-    E, e = evaluate(forms.green_strain(f)), evaluate(forms.almansi_strain(f))
+    assert evaluate(forms.kinematics.spatial_product(f, *vectors[:2])) == pytest.approx(dx1 @ dx2)
+    assert evaluate(forms.kinematics.material_product(f, *vectors[2:])) == pytest.approx(dX1 @ dX2)
+    E, e = evaluate(forms.kinematics.green_strain(f)), evaluate(forms.kinematics.almansi_strain(f))
     assert dX1 @ E @ dX2 == pytest.approx(half_difference, rel=1e-12)
     assert dx1 @ e @ dx2 == pytest.approx(half_difference, rel=1e-12)
 
@@ -51,13 +51,13 @@ def test_invariants(rng):
     """I = tr C, II = C : C, III = det C = J^2; IV = A.C A = a.a, V = A.C^2 A."""
     F, A = random_state(rng), np.array([0.6, 0.0, 0.8])
     C, f, a = F.T @ F, matrix(F), ufl.as_vector(A.tolist())
-    found = [evaluate(i) for i in (*forms.invariants(f), *forms.fiber_invariants(f, a))]
+    found = [evaluate(i) for i in (*forms.kinematics.invariants(f), *forms.fiber_invariants(f, a))]
     wanted = [np.trace(C), np.sum(C * C), np.linalg.det(C), A @ C @ A, A @ C @ C @ A]
     assert found == pytest.approx(wanted, rel=1e-12)
-    assert evaluate(forms.deformed_fiber(f, a)) == pytest.approx(F @ A)
-    assert evaluate(forms.right_cauchy_green(f)) == pytest.approx(C)
-    assert evaluate(forms.left_cauchy_green(f)) == pytest.approx(F @ F.T)
-    assert evaluate(forms.volume_ratio(f)) == pytest.approx(np.linalg.det(F))
+    assert evaluate(forms.kinematics.deformed_fiber(f, a)) == pytest.approx(F @ A)
+    assert evaluate(forms.kinematics.right_cauchy_green(f)) == pytest.approx(C)
+    assert evaluate(forms.kinematics.left_cauchy_green(f)) == pytest.approx(F @ F.T)
+    assert evaluate(forms.kinematics.volume_ratio(f)) == pytest.approx(np.linalg.det(F))
 
 
 def test_isochoric_part_keeps_the_volume(rng):

@@ -10,8 +10,7 @@ from cases import ENERGIES, at_plane, rates, tube_pressure, unit_mesh, whole
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 
-import forms
-import meshes
+from variform import forms, meshes
 
 
 def facet_measure(mesh, facets):

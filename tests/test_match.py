@@ -15,14 +15,14 @@ from cases import LMBDA, MU, agree, random_rotation, unit_mesh
 from dolfinx import fem
 from test_formulas_svd import rotation
 
-import forms
 from demos.benchmarks import misprints
-from forms import energies, stress
-from forms.formulas import membrane_eigensystems as me
-from forms.formulas import membrane_invariants as mi
-from forms.formulas import polar as po
-from forms.formulas import quotients as qu
-from forms.formulas import svd_derivatives as sd
+from variform import forms
+from variform.forms import energies, stress
+from variform.forms.formulas import membrane_eigensystems as me
+from variform.forms.formulas import membrane_invariants as mi
+from variform.forms.formulas import polar as po
+from variform.forms.formulas import quotients as qu
+from variform.forms.formulas import svd_derivatives as sd
 
 # Automatic energy, the document's, its moduli, smooth in F at s_i + s_j = 0, logarithmic.
 PAIRS = {

@@ -13,10 +13,9 @@ from cases import MU, agree, random_rotation, rates
 from dolfinx import mesh
 from test_variation import expansion
 
-import forms
-import meshes
-from forms import energies
-from meshes._dolfinx import create_mesh
+from variform import forms, meshes
+from variform.forms import energies
+from variform.meshes._dolfinx import create_mesh
 
 SHEETS = {
     "disk": (lambda o: meshes.disk(MPI.COMM_SELF, 1.0, 0.2, o), pi, 0),
@@ -62,7 +61,7 @@ def test_areas_volumes_and_sides(name, order):
     found = forms.integral(forms.enclosed_volume(u, side, dx))
     assert found == pytest.approx(volume, rel=2 * allowed, abs=1e-14)
     if volume == 0:
-        up = forms.area_vector(forms.membrane_gradient(u))[2]
+        up = forms.membranes.area_vector(forms.membrane_gradient(u))[2]
         assert forms.integral(up * ufl.dx) == pytest.approx(
             0 if name == "pillow" else area, rel=allowed
         )
@@ -70,7 +69,7 @@ def test_areas_volumes_and_sides(name, order):
 
 def test_the_pillow_has_its_upper_side_up():
     body = meshes.pillow(MPI.COMM_SELF, 2.0, 0.5)
-    up = forms.area_vector(forms.membrane_gradient(forms.displacement(body)))[2]
+    up = forms.membranes.area_vector(forms.membrane_gradient(forms.displacement(body)))[2]
     assert forms.integral(up * body.dx("upper")) == pytest.approx(4, rel=1e-12)
     assert forms.integral(up * body.dx("lower")) == pytest.approx(-4, rel=1e-12)
 
@@ -80,7 +79,7 @@ SHEET_ENERGIES = {
     "mooney_rivlin_sheet": lambda F: energies.mooney_rivlin_sheet(F, 0.4, 0.25),
     "saint_venant_kirchhoff_sheet": lambda F: energies.saint_venant_kirchhoff_sheet(F, 2.0, 0.3),
     "sheet": lambda F: energies.sheet(F, lambda I1, I2, I3: I2 - 2 * I1 + I3**2 - 2 * I3 + 3),
-    "reduced": lambda F: energies.yeoh(forms.incompressible_sheet(F), 0.6, -0.05, 0.02),
+    "reduced": lambda F: energies.yeoh(forms.membranes.incompressible_sheet(F), 0.6, -0.05, 0.02),
     "principal": lambda F: energies.principal(
         lambda s1, s2: MU / 2 * (s1**2 + s2**2 + 1 / (s1 * s2) ** 2 - 3)
     )(F),
@@ -119,7 +118,7 @@ def test_the_ways_to_write_a_sheet_agree(rng):
     u = forms.displacement(body, degree=2)
     u.x.array[:] = 0.05 * rng.normal(size=u.x.array.size)
     F = forms.membrane_gradient(u)
-    solid = forms.incompressible_sheet(F)
+    solid = forms.membranes.incompressible_sheet(F)
     ways = [
         energies.neo_hookean_sheet(F, MU),
         energies.isochoric_neo_hookean(solid, MU),
@@ -145,7 +144,7 @@ def test_areas_grow_with_I3():
     u = forms.displacement(body, degree=2)
     u.interpolate(lambda x: 0.3 * x)
     F = forms.membrane_gradient(u)
-    I1, I2, I3 = forms.membrane_invariants(F)
+    I1, I2, I3 = forms.membranes.membrane_invariants(F)
     area = forms.integral(1 * ufl.dx(domain=body.mesh, degree=4))
     dx = ufl.dx(degree=4)
     assert forms.integral(I3 * dx) == pytest.approx(1.69 * area, rel=1e-12)

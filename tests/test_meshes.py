@@ -19,7 +19,7 @@ from dolfinx import fem
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import exterior_facet_indices
 
-import meshes
+from variform import meshes
 
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).parent.parent
@@ -706,7 +706,7 @@ import json, sys
 from mpi4py import MPI
 import ufl
 from dolfinx import fem
-import meshes
+from variform import meshes
 
 comm, folder = MPI.COMM_WORLD, sys.argv[1]
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import ufl
 
-import forms
-import meshes
+from variform import forms, meshes
 
 # forms.solve is the function: the module of that name is found by its path.
-presets = sys.modules["forms.solve.linear"]
+presets = sys.modules["variform.forms.solving.linear.presets"]
 CASES = {
     "P2": ("tetrahedron", None),
     "Q2": ("hexahedron", None),
@@ -27,7 +26,7 @@ import json, sys
 from mpi4py import MPI
 from petsc4py import PETSc
 import numpy as np, ufl
-import forms, meshes
+from variform import forms, meshes
 
 
 def bent(cells, n, kappa, mu=1.0, length=1.0, contrast=1.0):
@@ -53,7 +52,7 @@ def bent(cells, n, kappa, mu=1.0, length=1.0, contrast=1.0):
 def iterations(w, potential, held):
     "Of one tangent solve, for forces that vary from node to node."
     system = forms.system(potential, w, held)
-    newton = forms.Newton(system, options={"ksp_rtol": 1e-8})
+    newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
     newton.scaled.measure()
     newton._assemble_tangent()
     ksp = newton.snes.getKSP()
@@ -142,7 +141,7 @@ def test_the_field_split_on_two_ranks(cells, parallel):
     script = (
         SCENE
         + """
-linear = sys.modules["forms.solve.linear"]
+linear = sys.modules["variform.forms.solving.linear.presets"]
 linear.DIRECT_UP_TO = 0
 linear.SPLIT_FROM = dict.fromkeys(linear.SPLIT_FROM, 0)
 body, w, t, potential, held = bent(sys.argv[1], 3, np.inf)

@@ -19,10 +19,10 @@ from cases import LMBDA, MU, agree, unit_mesh, whole
 from dolfinx import fem, mesh
 from dolfinx.mesh import CellType
 
-import forms
-import meshes
-from forms import _dolfinx, _jit, energies, stress
-from forms.operators.library import library
+from variform import forms, meshes
+from variform.forms import _dolfinx, energies, stress
+from variform.forms.native import jit as _jit
+from variform.forms.native.library import library
 
 PAIRS = {
     "neo_hookean": (energies.neo_hookean, energies.neo_hookean_stretches),
@@ -745,7 +745,7 @@ def test_only_indefinite_cells_pay_for_eigenvalues():
 
 ONE_RANK_FIRST = """
 from mpi4py import MPI
-from forms.operators.stretches import StretchFunction
+from variform.forms.operators.stretches import StretchFunction
 function = StretchFunction(lambda a, b: a**2 + b**2, 2, "psi_hat")
 if MPI.COMM_WORLD.rank == 0:
     function.compiled(MPI.COMM_SELF)
@@ -768,8 +768,8 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-import forms
-from forms import energies
+from variform import forms
+from variform.forms import energies
 
 rng = np.random.default_rng(1)
 body = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 import ufl
 
-import forms
-import meshes
-from forms.solve.options import SolverOptions
+from variform import forms, meshes
+from variform.forms.solving.options import SolverOptions
 
 
 @pytest.fixture
@@ -67,8 +66,8 @@ def test_values_with_blanks_arrive_whole(database):
 def test_two_solvers_share_nothing(scene, database):
     """A second Newton that ends takes none of the first one's options with it."""
     system = forms.system(*scene)
-    first = forms.Newton(system, {"snes_max_it": 7, "ksp_type": "gmres"})
-    second = forms.Newton(system, {"snes_max_it": 9})
+    first = forms.solving.Newton(system, {"snes_max_it": 7, "ksp_type": "gmres"})
+    second = forms.solving.Newton(system, {"snes_max_it": 9})
     kinds = [newton.snes.getKSP().getType() for newton in (first, second)]
     assert kinds == ["gmres", "preonly"]
     second.destroy()
@@ -86,7 +85,7 @@ import json, sys
 from mpi4py import MPI
 from petsc4py import PETSc
 import ufl
-import forms, meshes
+from variform import forms, meshes
 
 body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
 u = forms.displacement(body)
@@ -94,11 +93,11 @@ psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
 potential = psi * ufl.dx + forms.dead_traction(u, ufl.as_vector([0.1, 0.0]), body.ds("right"))
 found = {}
 for prefix in sys.argv[1].split(","):
-    newton = forms.Newton(forms.system(potential, u, [forms.clamp(u, body.facets("left"))]),
+    newton = forms.solving.Newton(forms.system(potential, u, [forms.clamp(u, body.facets("left"))]),
                           prefix=prefix)
     found[prefix] = newton.snes.getTolerances()[3]
     newton.destroy()
-    newton = forms.Newton(newton.system, prefix=prefix)  # the options were not taken away
+    newton = forms.solving.Newton(newton.system, prefix=prefix)  # the options were not taken away
     found[prefix] = [found[prefix], newton.snes.getTolerances()[3]]
     newton.predict()
     newton.solve()

@@ -16,10 +16,9 @@ import pytest
 import ufl
 from conftest import ROOT
 
-import forms
-import meshes
 from demos.pages import bodies, energies, responses
 from demos.pages.__main__ import PAGES
+from variform import forms, meshes
 
 OUTSIDE = ("results", "build", "dist")  # what runs write
 FILES = sorted(

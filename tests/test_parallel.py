@@ -11,7 +11,7 @@ SCENE = """
 import json, sys
 from mpi4py import MPI
 import numpy as np, ufl
-import forms, meshes
+from variform import forms, meshes
 
 scene, tight = sys.argv[1], sys.argv[2] == "tight"
 comm = MPI.COMM_WORLD
@@ -129,7 +129,7 @@ FILES = """
 import json
 from mpi4py import MPI
 import ufl
-import forms, meshes
+from variform import forms, meshes
 
 comm = MPI.COMM_WORLD
 body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.15)
@@ -165,7 +165,7 @@ FAILURES = """
 import sys
 from mpi4py import MPI
 import ufl
-import forms, meshes
+from variform import forms, meshes
 
 comm = MPI.COMM_WORLD
 body = meshes.block(comm, (1.0, 0.3), h=0.15)
@@ -230,7 +230,7 @@ def test_command_line_wins(run, tmp_path):
 ALONE = """
 import sys
 from mpi4py import MPI
-import forms
+from variform import forms
 comm = MPI.COMM_WORLD
 if comm.rank == comm.size - 1 or sys.argv[1] == "all":
     raise ValueError("the mesh is too coarse")

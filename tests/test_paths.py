@@ -11,9 +11,8 @@ from cases import unit_mesh
 from dolfinx import fem
 from scipy.special import ellipk
 
-import forms
-import meshes
-from forms._dolfinx import geometry_dofmap
+from variform import forms, meshes
+from variform.forms._dolfinx import geometry_dofmap
 
 
 def strip(length, n, curve, plates, comm=MPI.COMM_SELF):
@@ -286,7 +285,7 @@ import json, sys
 sys.path.insert(0, {tests!r})
 from mpi4py import MPI
 from petsc4py import PETSc
-import forms
+from variform import forms
 from test_paths import EULER, column
 body, u, q, potential, held = column(20, MPI.COMM_WORLD)
 side = forms.dead_traction(u, __import__("ufl").as_vector([0 * q, 1e-2 * EULER]), body.ds("right"))

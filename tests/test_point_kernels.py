@@ -15,11 +15,11 @@ import reference
 import ufl
 from mpmath import mp
 
-from forms import energies
-from forms.operators.evaluate import evaluate
-from forms.operators.jets import Kind
-from forms.operators.library import describe, library
-from forms.operators.stretches import NOWHERE, StretchFunction
+from variform.forms import energies
+from variform.forms.native.library import describe, library
+from variform.forms.operators.evaluate import evaluate
+from variform.forms.operators.jets import Kind
+from variform.forms.operators.stretches import NOWHERE, StretchFunction
 
 CLAMP = 1e-6
 UFL = SimpleNamespace(
@@ -485,7 +485,7 @@ def test_rotations_end_by_themselves(tmp_path, monkeypatch, rng):
 
     4 with two columns; 9 for singular ones, one by one and in lockstep; never the bound of 30.
     """
-    module = importlib.import_module("forms.operators.library")
+    module = importlib.import_module("variform.forms.native.library")
     counting = shutil.copytree(module.SOURCE, tmp_path / "kernels")
     text = (counting / "svd.h").read_text()
     assert text.count("#define SWEEPS 30 ") == 1

@@ -11,9 +11,9 @@ from cases import LMBDA, MU, agree, at_plane, unit_mesh, whole
 from dolfinx import mesh
 from scipy.sparse import csr_matrix
 
-import forms
-from forms import energies
-from meshes._dolfinx import create_mesh
+from variform import forms
+from variform.forms import energies
+from variform.meshes._dolfinx import create_mesh
 
 N = 6
 SIMPLEX = {2: "triangle", 3: "tetrahedron"}

@@ -8,10 +8,9 @@ import pytest
 import ufl
 from dolfinx import fem
 
-import forms
-import meshes
-from forms import energies
-from forms.quadrature import with_quadrature
+from variform import forms, meshes
+from variform.forms import energies
+from variform.forms.quadrature import with_quadrature
 
 
 def degrees(potential, u):

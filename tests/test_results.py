@@ -11,8 +11,7 @@ import pytest
 import ufl
 from cases import at_plane, unit_mesh
 
-import forms
-import meshes
+from variform import forms, meshes
 
 
 @pytest.fixture

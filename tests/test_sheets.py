@@ -13,9 +13,8 @@ from dolfinx import fem
 from scipy import integrate, optimize
 from test_control import sphere
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 E, NU = 3.0, 0.4
 FIELDS = {

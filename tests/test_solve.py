@@ -11,8 +11,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.optimize import brentq
 
-import forms
-import meshes
+from variform import forms, meshes
 
 TIGHT = {"rtol": 1e-12, "ctol": 1e-10}
 
@@ -238,7 +237,7 @@ def test_quadratic_convergence_near_the_solution():
         forms.clamp(u, at_plane(mesh, 0, 0.0)),
         forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
     ]
-    newton = forms.Newton(forms.system(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
+    newton = forms.solving.Newton(forms.system(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
     norms = []
     for snes in (newton.snes, newton._by_residual):
         snes.setMonitor(lambda snes, it, norm: norms.append(norm))

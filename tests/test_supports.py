@@ -10,8 +10,7 @@ from cases import at_plane, unit_mesh
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box
 
-import forms
-import meshes
+from variform import forms, meshes
 
 
 def apply(u, *supports):

@@ -11,8 +11,8 @@ import recorder
 from capabilities import BOUNDS, CAPABILITIES, ERRATA
 from conftest import ROOT
 
-import forms
 from demos.benchmarks import misprints
+from variform import forms
 
 PAGE = (ROOT / "forms" / "formulas" / "README.md").read_text()
 
@@ -55,7 +55,8 @@ def test_every_function_named_exists():
                 assert callable(operator.attrgetter(name.removeprefix("forms."))(forms)), name
             else:
                 module, _, function = name.partition(".")
-                assert callable(getattr(import_module(f"forms.formulas.{module}"), function)), name
+                inside = import_module(f"variform.forms.formulas.{module}")
+                assert callable(getattr(inside, function)), name
 
 
 def test_every_test_named_exists():

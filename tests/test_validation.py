@@ -11,10 +11,10 @@ import pytest
 from conftest import ROOT
 from dolfinx.mesh import entities_to_geometry
 
-import meshes
 from demos.validation import inflation, land, treloar
 from demos.validation.cases import CASES
 from demos.validation.page import shrink
+from variform import meshes
 
 FOLDER = ROOT / "demos" / "validation"
 

@@ -8,10 +8,10 @@ from cases import ENERGIES, STRETCHES, rates, unit_mesh
 from dolfinx import fem
 from dolfinx.mesh import CellType
 
-import forms
-from forms import stress
-from forms.operators.chain import dependents
-from forms.quadrature import with_quadrature
+from variform import forms
+from variform.forms import stress
+from variform.forms.differentiation import dependents
+from variform.forms.quadrature import with_quadrature
 
 H = 0.004 / 2.0 ** np.arange(3)
 
@@ -144,10 +144,10 @@ def test_virtual_work_by_hand_equals_the_automatic_one(name, cells, rng):
     S, sigma = stress.second_piola(psi, F), stress.cauchy(psi, F)
     CC, c = stress.material_elasticity(psi, F), stress.spatial_elasticity(psi, F)
     by_hand = {
-        "(29)": (forms.material_virtual_work(S, F, u, v, dx), R),
-        "(52)": (forms.spatial_virtual_work(sigma, F, u, v, dx), R),
-        "(32)": (forms.linearized_material(S, CC, F, u, v, du, dx), K),
-        "(34)": (forms.linearized_spatial(sigma, c, F, u, v, du, dx), K),
+        "(29)": (forms.by_hand.material_virtual_work(S, F, u, v, dx), R),
+        "(52)": (forms.by_hand.spatial_virtual_work(sigma, F, u, v, dx), R),
+        "(32)": (forms.by_hand.linearized_material(S, CC, F, u, v, du, dx), K),
+        "(34)": (forms.by_hand.linearized_spatial(sigma, c, F, u, v, du, dx), K),
     }
     for equation, (form, wanted) in by_hand.items():
         error = np.abs(assembled(form) - wanted).max() / np.abs(wanted).max()
@@ -170,8 +170,8 @@ def test_virtual_work_of_a_body_of_revolution(rng):
     S, sigma = ring * stress.second_piola(psi, F), ring * stress.cauchy(psi, F)
     c = ring * stress.spatial_elasticity(psi, F)
     R, K = assembled(automatic), assembled(forms.tangent(automatic, u))
-    r = assembled(forms.material_virtual_work(S, F, u, v, dx))
-    k = assembled(forms.linearized_spatial(sigma, c, F, u, v, du, dx))
+    r = assembled(forms.by_hand.material_virtual_work(S, F, u, v, dx))
+    k = assembled(forms.by_hand.linearized_spatial(sigma, c, F, u, v, du, dx))
     assert np.abs(r - R).max() < 1e-12 * np.abs(R).max()
     assert np.abs(k - K).max() < 1e-12 * np.abs(K).max()
 
@@ -209,7 +209,7 @@ def test_voigt_product_is_the_contraction(rng):
     u.x.array[:] = 0.1 * rng.normal(size=u.x.array.size)
     F = forms.deformation_gradient(u)
     c = stress.spatial_elasticity(ENERGIES["transversely_isotropic"](F), F)
-    eps = forms.almansi_strain(F)
+    eps = forms.kinematics.almansi_strain(F)
     i, j, k, n = ufl.indices(4)
     contracted = stress.voigt_stress(ufl.as_tensor(c[i, j, k, n] * eps[k, n], (i, j)))
     product = stress.voigt_elasticity(c) * stress.voigt_strain(eps)

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from forms.formulas import svd_derivatives
+from variform.forms.formulas import svd_derivatives
 
 from .record import Table, insert, markdown, save
 from .ways import CASES, WAYS, errors, exact

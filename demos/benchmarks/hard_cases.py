@@ -28,9 +28,8 @@ from dolfinx.nls.petsc import NewtonSolver
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 from .record import Table, insert, markdown
 
@@ -492,7 +491,7 @@ def contrast():
     case = made(u, held, t, stiff * energies.neo_hookean(F, MU, LMBDA) * ufl.dx, F)
 
     def known(path):
-        E = forms.green_strain(F)
+        E = forms.kinematics.green_strain(F)
         weight = ufl.conditional(ufl.gt(stiff, 1e3), 1.0, 0.0)
         strain = np.sqrt(forms.integral(weight * ufl.inner(E, E) * ufl.dx) / 0.125)
         return [("strain of the cube", strain, 0, 1e-5), *opposite(case, body, "bottom", "top")]
@@ -620,7 +619,7 @@ def by_variform(case):
     for start in case.starts:
         case.begin(start)
         converged = True
-        with outcome.timed(forms.System, "tangent"):
+        with outcome.timed(forms.assembly.System, "tangent"):
             try:
                 path = case.call()
             except forms.NotConverged as error:
@@ -644,7 +643,7 @@ def by_dolfinx(case, to):
     system = forms.system(case.potential, case.u, case.supports, case.virtual_work)
     # 0.10 gave the old problem a longer name.
     old = getattr(fem_petsc, "NewtonSolverNonlinearProblem", fem_petsc.NonlinearProblem)
-    problem = old(system._residual, case.u, system.conditions, system._tangent)
+    problem = old(system.residual_form, case.u, system.conditions, system.tangent_form)
     solver = NewtonSolver(COMM, problem)
     solver.krylov_solver.setType("preonly")
     solver.krylov_solver.getPC().setType("lu")

@@ -27,7 +27,7 @@ SCENE = """
 from mpi4py import MPI
 import ufl
 from dolfinx import mesh
-import forms
+from variform import forms
 body = mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2)
 u = forms.displacement(body)
 F = forms.deformation_gradient(u)

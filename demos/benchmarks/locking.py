@@ -17,9 +17,8 @@ from mpi4py import MPI
 import ufl
 from matplotlib.figure import Figure
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 from .record import Table, insert, markdown, save
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from forms.formulas import element, materials, quadrature, shapes
+from variform.forms.formulas import element, materials, quadrature, shapes
 
 from .record import Table, insert, markdown
 

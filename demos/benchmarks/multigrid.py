@@ -16,10 +16,9 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-import forms
-import meshes
-from forms import energies
-from forms.solve import linear
+from variform import forms, meshes
+from variform.forms import energies
+from variform.forms.solving.linear import presets as linear
 
 from .record import Table
 
@@ -64,7 +63,7 @@ def solved(element, n):
     """One tangent solve at rest: iterations, and seconds of assembly, set-up and solve."""
     w, _, potential, held = twisted(element, n)
     system = forms.system(potential, w, held)
-    newton = forms.Newton(system, options={"ksp_rtol": 1e-8})
+    newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
     start = time.process_time()
     newton.scaled.measure()
     assembled = time.process_time()

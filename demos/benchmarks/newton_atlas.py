@@ -27,9 +27,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 from .record import Table, insert, markdown, save
 
@@ -74,7 +73,7 @@ class Scene:
         # 0.10 gave the old problem a longer name.
         old = getattr(fem_petsc, "NewtonSolverNonlinearProblem", fem_petsc.NonlinearProblem)
         system = self.system
-        self.problem = old(system._residual, self.u, system.conditions, system._tangent)
+        self.problem = old(system.residual_form, self.u, system.conditions, system.tangent_form)
 
     def solved(self, angles):
         """The right states by small steps, checked to be stable."""
@@ -139,7 +138,7 @@ def variform(projection):
     """As forms.solve does it, on a system that is compiled already."""
 
     def method(scene):
-        newton = forms.Newton(scene.system, projection=projection)
+        newton = forms.solving.Newton(scene.system, projection=projection)
         newton.predict()
         run = newton.solve()
         newton.destroy()

@@ -18,10 +18,10 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 
-import forms
-import meshes
-from forms import _jit, energies, insertion
-from forms.operators.lowering import compiled
+from variform import forms, meshes
+from variform.forms import energies, insertion
+from variform.forms.compilation import compiled
+from variform.forms.native import jit as _jit
 
 from .record import Table, median_times
 
@@ -108,7 +108,7 @@ def cases(order, degree, n):
     stored = Stored(u, degree, v, du)
     vector = systems["fixed_corotated"].create_vector()
     A = systems["fixed_corotated"].create_matrix()
-    foreign = fem_petsc.create_matrix(systems["fixed_corotated"]._tangent)
+    foreign = fem_petsc.create_matrix(systems["fixed_corotated"].tangent_form)
     residuals, solving, usual = {}, {}, {}
 
     def into_vector(form, before=None):
@@ -131,9 +131,9 @@ def cases(order, degree, n):
 
     tangents = {}
     for name, system in systems.items():
-        residuals[name] = into_vector(system._residual)
-        tangents[name] = (system._tangent, None)
-        tangents[name + ", projected"] = (compiled(system._tangent_form, project=True), None)
+        residuals[name] = into_vector(system.residual_form)
+        tangents[name] = (system.tangent_form, None)
+        tangents[name + ", projected"] = (compiled(system.tangent_ufl, project=True), None)
     residuals["fixed_corotated, stored, NumPy"] = into_vector(
         stored.residual, stored.update_residual
     )

@@ -37,10 +37,9 @@ import numpy as np
 import ufl
 from matplotlib.figure import Figure
 
-import forms
-import meshes
-from forms import energies
-from forms.solve.order import NodeOrder
+from variform import forms, meshes
+from variform.forms import energies
+from variform.forms.files.identity import NodeOrder
 
 from . import cluster
 from .peers.fenicsx import create
@@ -119,7 +118,7 @@ def measured(element, m):
 def _pieces(system, u):
     """Seconds of each piece, and counts of what was done."""
     u.interpolate(lambda x: bent(x.T).T)
-    newton = forms.Newton(system, options={"ksp_rtol": 1e-8})
+    newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
     A, b, x = newton.A, newton.b, newton.b.duplicate()
     work = {"residual": lambda: system.residual(b), "tangent": lambda: system.tangent(A)}
     seconds = {name: timed(do, PIECES[name]) for name, do in work.items()}

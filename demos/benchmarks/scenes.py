@@ -14,9 +14,8 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
-import forms
-import meshes
-from forms import energies
+from variform import forms, meshes
+from variform.forms import energies
 
 COMM = MPI.COMM_SELF
 

@@ -16,8 +16,8 @@ import ufl
 from dolfinx import fem, mesh
 from mpmath import mp, mpf
 
-from forms import energies
-from forms.formulas import quotients, svd_derivatives
+from variform.forms import energies
+from variform.forms.formulas import quotients, svd_derivatives
 
 MU, LMBDA = 1.0, 2.5
 DIGITS, STEP = 110, mpf(10) ** -25

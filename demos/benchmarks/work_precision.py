@@ -21,8 +21,8 @@ from functools import cache
 import numpy as np
 from matplotlib.figure import Figure
 
-import forms
-from forms.solve import linear
+from variform import forms
+from variform.forms.solving.linear import presets as linear
 
 from .comparisons import (
     PANELS,
@@ -54,7 +54,7 @@ def measured(case):
     try:
         while not times or (max(times) < 1 and len(times) < 3):
             problem.unknown.x.array[:] = 0
-            start, newton = time.process_time(), forms.Newton(system, options)
+            start, newton = time.process_time(), forms.solving.Newton(system, options)
             newton.predict()
             outcome = newton.solve()
             newton.destroy()

@@ -20,8 +20,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 
-import forms
-import meshes
+from variform import forms, meshes
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 rng = np.random.default_rng(1)
@@ -171,8 +170,8 @@ v, dw = ufl.TestFunction(w.function_space), ufl.TrialFunction(w.function_space)
 S = forms.stress.second_piola(psi, F_ufl)
 sigma = forms.stress.cauchy(psi, F_ufl)
 c = forms.stress.spatial_elasticity(psi, F_ufl)
-R_29 = forms.material_virtual_work(S, F_ufl, w, v, ufl.dx)
-K_34 = forms.linearized_spatial(sigma, c, F_ufl, w, v, dw, ufl.dx)
+R_29 = forms.by_hand.material_virtual_work(S, F_ufl, w, v, ufl.dx)
+K_34 = forms.by_hand.linearized_spatial(sigma, c, F_ufl, w, v, dw, ufl.dx)
 error_R = abs(fem.assemble_vector(forms.compiled(R_29)).array - R_hand).max()
 error_K = abs(fem.assemble_matrix(forms.compiled(K_34)).to_dense() - K_hand).max()
 print(f"(29) and (34) minus by hand: {error_R:.0e}, {error_K:.0e}")

@@ -18,9 +18,9 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 
-import forms
-from forms import energies, stress
-from forms.formulas import elasticity, materials
+from variform import forms
+from variform.forms import energies, stress
+from variform.forms.formulas import elasticity, materials
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 rng = np.random.default_rng(2)

@@ -20,9 +20,8 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-import forms
-import meshes
-from forms.formulas import element, materials, quadrature, shapes
+from variform import forms, meshes
+from variform.forms.formulas import element, materials, quadrature, shapes
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 rng = np.random.default_rng(3)

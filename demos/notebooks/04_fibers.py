@@ -22,9 +22,8 @@ import numpy as np
 import ufl
 from IPython.display import Image
 
-import forms
-import meshes
-from forms.formulas import materials
+from variform import forms, meshes
+from variform.forms.formulas import materials
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 scratch = tempfile.TemporaryDirectory()

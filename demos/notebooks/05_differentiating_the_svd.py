@@ -24,9 +24,8 @@ import sympy as sp
 import ufl
 from IPython.display import Image
 
-import forms
-import meshes
-from forms.formulas import quotients, svd_derivatives
+from variform import forms, meshes
+from variform.forms.formulas import quotients, svd_derivatives
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 scratch = tempfile.TemporaryDirectory()

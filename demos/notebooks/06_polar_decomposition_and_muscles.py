@@ -21,9 +21,8 @@ import numpy as np
 import ufl
 from IPython.display import Image
 
-import forms
-import meshes
-from forms.formulas import polar, svd_derivatives
+from variform import forms, meshes
+from variform.forms.formulas import polar, svd_derivatives
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 scratch = tempfile.TemporaryDirectory()

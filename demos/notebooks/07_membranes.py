@@ -16,10 +16,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import ufl
 
-import forms
-import meshes
-from forms.formulas import membrane_eigensystems as sheets
-from forms.formulas import membrane_invariants as membranes
+from variform import forms, meshes
+from variform.forms.formulas import membrane_eigensystems as sheets
+from variform.forms.formulas import membrane_invariants as membranes
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 comm = MPI.COMM_WORLD
@@ -50,7 +49,7 @@ assert np.isclose(abs(U[:, 2] @ normal), I3)  # the third column of U is the nor
 
 # %% [markdown]
 # For none. $I_2 = F : F$, $I_3 = |f_1\times f_2|$ is the ratio of areas, and
-# $I_1 = \sqrt{I_2 + 2 I_3}$. That is how `forms.membrane_invariants` writes them in UFL.
+# $I_1 = \sqrt{I_2 + 2 I_3}$. That is how `forms.membranes.membrane_invariants` writes them in UFL.
 
 # %% [markdown]
 # ## Six ways to deform

@@ -20,8 +20,7 @@ import numpy as np
 import ufl
 from IPython.display import Image
 
-import forms
-import meshes
+from variform import forms, meshes
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 comm = MPI.COMM_WORLD
@@ -365,7 +364,7 @@ assert path.completed and path.steps[0].convergence.projected > 0
 # Stuck: the search went by $|R|$, which stops falling where nothing is in equilibrium; projection
 # is the way out. Each message names in turn: how it stopped, after how many iterations, by which
 # ways; the forces that are left and those that they are compared with; the last correction; what
-# was kept; what to do. The full list is in [forms/solve](../../forms/solve/README.md).
+# was kept; what to do. The full list is in [forms/solve](../../forms/solving/README.md).
 #
 # | Symptom | Cause | Remedy |
 # | --- | --- | --- |

@@ -22,8 +22,7 @@ import ufl
 from IPython.display import Image
 from PIL import Image as Pixels
 
-import forms
-import meshes
+from variform import forms, meshes
 
 plt.rcParams.update({"figure.dpi": 90, "font.size": 9})
 comm = MPI.COMM_WORLD
@@ -64,7 +63,7 @@ def timed(u, potential, held):
     system, seconds = forms.system(potential, u, held), []
     for _ in range(3):
         u.x.array[:] = 0
-        start, newton = time.process_time(), forms.Newton(system)
+        start, newton = time.process_time(), forms.solving.Newton(system)
         newton.predict()
         assert newton.solve().converged
         newton.destroy()

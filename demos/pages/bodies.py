@@ -11,8 +11,8 @@ import numpy as np
 from dolfinx import mesh, plot
 from scipy import ndimage
 
-import meshes
 from demos.benchmarks.record import markdown
+from variform import meshes
 
 from .energies import FIGURES
 from .responses import save
@@ -351,9 +351,9 @@ def sheet(name):
 
 def pictures():
     """Draw both sheets."""
-    from forms.pictures import _ensure_display
+    from variform.forms.files.pictures import ensure_display
 
-    _ensure_display()
+    ensure_display()
     for name in SHEETS:
         save(sheet(name), FIGURES / f"mesh_{name}.png")
         yield FIGURES / f"mesh_{name}.png"

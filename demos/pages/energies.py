@@ -11,7 +11,7 @@ from pathlib import Path
 import ufl
 
 from demos.benchmarks.record import markdown
-from forms import energies, isochoric
+from variform.forms import energies, isochoric
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FIGURES = ROOT / "demos" / "figures"

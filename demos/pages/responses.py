@@ -10,10 +10,10 @@ import scipy.optimize
 import ufl
 from dolfinx import fem, mesh
 
-import forms
-from forms import _jit
-from forms.operators.chain import update_dependents
-from forms.operators.evaluate import at_points
+from variform import forms
+from variform.forms.differentiation import update_dependents
+from variform.forms.native import jit as _jit
+from variform.forms.operators.evaluate import at_points
 
 from .energies import ACROSS, ALONG, FAMILIES, FIGURES, MU
 

@@ -19,8 +19,7 @@ from dolfinx import fem
 from matplotlib.figure import Figure
 from scipy.integrate import quad
 
-import forms
-import meshes
+from variform import forms, meshes
 
 C10, C01 = 0.4, 0.1
 INNER, OUTER = 1.0, 2.0
@@ -83,7 +82,7 @@ def run(folder, comm=MPI.COMM_WORLD):
         numbers[name] = found[name][-1]
         exact = np.array([closed_form(n, a) for a in RADII])
         numbers[f"{name}, largest error"] = np.abs(found[name] / exact - 1).max()
-        hoop = ufl.sqrt(forms.invariants(F)[0])
+        hoop = ufl.sqrt(forms.kinematics.invariants(F)[0])
         forms.picture(path, folder / f"{name}.png", hoop, "|F| [-]")
     if comm.rank == 0:
         axes = (figure := Figure((6, 4), 150, layout="constrained")).subplots()

@@ -18,8 +18,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-import forms
-import meshes
+from variform import forms, meshes
 
 APEX = {"endo": -17.0, "epi": -20.0}
 SECTIONS = {2: (4, 40), 3: (8, 80)}  # cells across the wall and along it

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-import forms
+from variform import forms
 
 
 def demo(name, folder, comm=MPI.COMM_WORLD):

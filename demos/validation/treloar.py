@@ -16,8 +16,7 @@ from dolfinx import fem
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
-import forms
-import meshes
+from variform import forms, meshes
 
 DATA = Path(__file__).resolve().parent / "data"
 GAUSS_NEWTON = 20

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Energy densities: functions of a 3x3 deformation gradient that return psi [J/m^3]."""
 
-from .activated import activated
 from .active import active_tension
-from .isotropic import (
+from .invariants import (
     isochoric_neo_hookean,
     isotropic,
     mooney_rivlin,
@@ -14,15 +13,11 @@ from .isotropic import (
     volumetric,
     yeoh,
 )
-from .membrane import (
-    mooney_rivlin_sheet,
-    neo_hookean_sheet,
-    saint_venant_kirchhoff_sheet,
-    sheet,
-)
+from .membrane import mooney_rivlin_sheet, neo_hookean_sheet, saint_venant_kirchhoff_sheet, sheet
 from .mixed import with_pressure
 from .moduli import bulk_modulus, lame_from_shear, lame_from_young
-from .principal import (
+from .muscle import activated
+from .stretches import (
     as_rigid_as_possible,
     corotated_linear,
     extended,
@@ -35,16 +30,16 @@ from .principal import (
     stable_neo_hookean_stretches,
     symmetric_dirichlet,
 )
-from .tension_field import (
-    neo_hookean_tension_field,
-    saint_venant_kirchhoff_tension_field,
-    tension_field,
-)
 from .transversely_isotropic import (
     guccione,
     transversely_isotropic_constants,
     transversely_isotropic_constants_five,
     transversely_isotropic_neo_hookean,
+)
+from .wrinkling import (
+    neo_hookean_tension_field,
+    saint_venant_kirchhoff_tension_field,
+    tension_field,
 )
 
 __all__ = [

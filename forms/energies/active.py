@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from .._checks import direction
-from ..kinematics import Expr, fiber_invariants
-from .isotropic import _checked
+from .._types import Expr
+from ..kinematics import fiber_invariants
+from .invariants import _checked
 
 
 def active_tension(F: Expr, Ta: Expr, fiber: Expr) -> Expr:

@@ -2,7 +2,7 @@
 """Energies of sheets: functions of a 3x2 deformation gradient, per reference volume of the sheet.
 
 Multiply by the thickness to integrate over the surface: ``h * psi * dx``. Energies of an
-incompressible solid serve sheets through :func:`forms.incompressible_sheet`.
+incompressible solid serve sheets through :func:`forms.membranes.incompressible_sheet`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import ufl
 
-from ..kinematics import Expr
+from .._types import Expr
 from ..membranes import membrane_invariants
 from .moduli import check_moduli, check_poisson_ratio, check_positive
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ufl
 
-from ..kinematics import Expr
+from .._types import Expr
 from .moduli import check_positive
 
 

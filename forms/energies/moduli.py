@@ -6,7 +6,7 @@ from __future__ import annotations
 from math import isfinite
 from numbers import Real
 
-from ..kinematics import Expr
+from .._types import Expr
 
 
 def lame_from_shear(mu: Expr, nu: Expr) -> tuple[Expr, Expr]:

@@ -6,8 +6,9 @@ from __future__ import annotations
 import ufl
 
 from .._checks import direction
-from ..kinematics import Expr, fiber_invariants, green_strain
-from .isotropic import _checked, neo_hookean_quadratic
+from .._types import Expr
+from ..kinematics import fiber_invariants, green_strain
+from .invariants import _checked, neo_hookean_quadratic
 
 
 def transversely_isotropic_neo_hookean(

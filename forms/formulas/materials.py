@@ -13,18 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._algebra import (
-    EYE,
-    Array,
-    Scalar,
-    checked,
-    dyad,
-    outer,
-    over,
-    positive,
-    squares,
-    unit_axis,
-)
+from ._algebra import EYE, Array, Scalar, checked, dyad, outer, over, positive, squares, unit_axis
 from .elasticity import left_cauchy_green, line_element, right_cauchy_green, volume_ratio
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))  # (27): 11, 22, 33, 12, 23, 13

@@ -15,7 +15,7 @@ import ufl
 from dolfinx import fem
 from numpy.typing import ArrayLike, NDArray
 
-from .chain import Expr
+from .._types import Expr
 from .evaluate import evaluate
 from .jets import Kind, is_plane, singular_value_function
 from .stretches import StretchFunction

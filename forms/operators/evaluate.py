@@ -15,10 +15,11 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives, extract_coefficients
 
-from .. import _jit
-from .chain import Expr, expanded, update_dependents
+from .._types import Expr
+from ..differentiation import expanded, update_dependents
+from ..native import jit
+from ..native.library import library, pointer
 from .jets import Jet, Kind
-from .library import describe, library
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class PointValues(fem.Function):
         self.jet, self._points = jet, len(points)
         packed = expand_derivatives(jet.jets.packed)
         self._packed = packed
-        self._operand = _jit.expression(packed, points, mesh)
+        self._operand = jit.expression(packed, points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
 
@@ -98,3 +99,13 @@ def at_points(expression: Expr, mesh: Any, points: Array) -> Expr:
         return expression
     points = np.asarray(points, dtype=np.float64)
     return ufl.replace(expression, {jet: PointValues(jet, mesh, points) for jet in jets})
+
+
+def describe(ffi: Any, record: Any, kind: Kind, psi: Any) -> None:
+    """Fill the C structure operator_t."""
+    record.psi = pointer(ffi, psi.tabulate_tensor_float64)
+    record.rows, record.cols = kind.shape
+    record.stretches = kind.function.n
+    record.plane, record.improper, record.smooth = kind.plane, kind.improper, kind.smooth
+    record.parameters = len(kind.function.parameters)
+    record.clamp = kind.clamp

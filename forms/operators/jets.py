@@ -18,8 +18,9 @@ from ufl.algorithms import expand_derivatives, extract_arguments
 from ufl.algorithms.expand_indices import expand_indices
 
 from .. import _dolfinx
-from .._canonical import without_variables
-from .chain import Expr, Pointwise, contains, rate, update_dependents
+from .._types import Expr
+from ..differentiation import Pointwise, contains, rate, update_dependents
+from ..native.canonical import without_variables
 from .stretches import StretchFunction
 
 
@@ -128,7 +129,7 @@ class Jets:
 
 
 class Jet(ufl.Coefficient):
-    """One derivative of an operator, a :class:`~forms.operators.chain.Dependent` coefficient."""
+    """One derivative of an operator, a :class:`~forms.differentiation.Dependent` coefficient."""
 
     def __init__(self, jets: Jets, level: int) -> None:
         domain = ufl.domain.extract_unique_domain(jets.packed)

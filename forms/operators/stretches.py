@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
-from .. import _jit
-from .chain import with_branches_outside
-from .texts import NOWHERE, PROBES, Expr, text
+from .._types import Expr
+from ..differentiation import with_branches_outside
+from ..native import jit
+from ..native.library import MAX_PARAMETERS
+from .texts import NOWHERE, PROBES, text
 
-MAX_PARAMETERS = 64  # as in kernels/point.h
 _SAMPLES, _WIDE = 4, 40
 _TOLERANCE = 1e-9  # of the checks of symmetry: far above rounding, far below a different function
 
@@ -102,9 +103,9 @@ class StretchFunction:
     def compiled(self, comm: MPI.Comm) -> tuple[Any, Any]:
         """FFCx's kernel of the jet and the module it lives in. Collective at the first call."""
         if comm.size > 1:  # a cache that ranks might see differently would let one wait for ever
-            return _jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
+            return jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
         if self._compiled is None:
-            self._compiled = _jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
+            self._compiled = jit.compiled(comm, (self.jet, np.zeros((1, 1))))[:2]
         return self._compiled
 
     def _states(self) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import basix.ufl
 import ufl
 from ufl.corealg.traversal import unique_post_traversal
 
-Expr = Any  # UFL ships no types
+from .._types import Expr
 
 # The jet is compiled without a mesh; UFL wants constants to live on one.
 NOWHERE = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))

@@ -12,8 +12,8 @@ from importlib import metadata
 import numpy as np
 import ufl
 
-import forms
-from forms import energies
+from variform import forms
+from variform.forms import energies
 
 from .fenicsx import COMM, at_vertices, create
 from .problem import (

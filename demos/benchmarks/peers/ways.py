@@ -45,7 +45,7 @@ def by_numpy():
 
 def by_variform():
     """This package's compiled kernel."""
-    from forms import energies
+    from variform.forms import energies
 
     return {"variform": lambda F: energies.fixed_corotated.evaluate(F, MU, LMBDA)}
 

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""Damping of Newton steps where the tangent is singular: flat sheets, slack cloth, loose parts."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+
+from ..assembly import System
+from ..compilation import compiled
+from .linear.diagonal import typical_diagonal
+
+FIRST, LEAST, MOST = 1e-6, 1e-10, 1e2
+EASED, STIFFENED = 5.0, 100.0
+
+
+class Damping:
+    """Levenberg-Marquardt: s L is added to the tangent, L the stiffness of a uniform tension.
+
+    L = c int grad v : grad du dx,  c such that typical entries of L and of the tangent are equal
+
+    Where the tangent has no stiffness at all, as a flat sheet across its plane, the step is that
+    of a prestretched sheet, which is smooth on every mesh. s falls by EASED after each full step
+    and grows after one that the line search had to shorten, by as much as it was shortened (at
+    most by STIFFENED), so that full steps come back.
+
+    Args:
+        system: Displacement problem.
+        A: Assembled tangent to be compared with.
+        free: Local numbers of the degrees of freedom that are compared.
+        otherwise: Stiffness [N/m] to be compared with where all diagonal entries of A are 0.
+    """
+
+    def __init__(
+        self, system: System, A: PETSc.Mat, free: NDArray[np.int32], otherwise: float = 1.0
+    ) -> None:
+        V = system.u.function_space
+        du, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        uniform = compiled(ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx)
+        self.L = fem_petsc.assemble_matrix(uniform, system.conditions)
+        self.L.assemble()
+        diagonal = self.L.getDiagonal()
+        diagonal.array[system.constrained] = 0
+        self.L.setDiagonal(diagonal)
+        # A potential on a part of the mesh only has fewer entries than L.
+        same = _entries(A) == _entries(self.L)
+        kinds = PETSc.Mat.Structure
+        self._structure = kinds.SUBSET_NONZERO_PATTERN if same else kinds.DIFFERENT_NONZERO_PATTERN
+        own = typical_diagonal(self.L, free)
+        stiffness = typical_diagonal(A, free) or otherwise
+        self.scale = stiffness / own if own else 0.0
+        self.strength = FIRST
+
+    def restart(self) -> None:
+        """Return to the first strength."""
+        self.strength = FIRST
+
+    def add(self, A: PETSc.Mat) -> None:
+        """Add the damping to a tangent. Collective."""
+        A.axpy(self.strength * self.scale, self.L, self._structure)
+
+    def after(self, fraction: float) -> None:
+        """Adapt the strength to the fraction of the last step that the line search took."""
+        if fraction >= 0.99:
+            self.strength = max(self.strength / EASED, LEAST)
+        elif fraction < 0.3:
+            self.strength = min(self.strength * min(1 / max(fraction, 1e-300), STIFFENED), MOST)
+
+    def stiffen(self) -> bool:
+        """Grow after a step that does not lower the energy; False where that is no use."""
+        grown = self.strength < MOST
+        self.strength = min(max(STIFFENED * self.strength, FIRST), MOST)
+        return grown
+
+    def destroy(self) -> None:
+        """Free the matrix."""
+        self.L.destroy()
+
+
+def _entries(A: PETSc.Mat) -> float:
+    return float(A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"])

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Where a tangent is not finite though energy and forces are, and which summand is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from ufl.algorithms import expand_derivatives
+
+from .. import _dolfinx
+from ..assembly import System
+from ..compilation import compiled
+from ..differentiation import expanded
+from ..insertion import assemble, create_matrix
+from ..variation import residual, tangent
+
+LONGEST = 100  # characters of a summand in a sentence
+ADVICE = (
+    "Write the energy so that its second derivative exists there (with a power of 2 or more), or "
+    "begin from another state."
+)
+
+
+def not_finite(system: System, A: PETSc.Mat) -> str:
+    """What of an assembled tangent is not finite, in words; empty where all of it is.
+
+    As inf * 0 in the second derivative of a power below 2 of something that vanishes. Collective;
+    compiles a form per summand of the potential, so it is for failures only.
+
+    Args:
+        system: Problem, at the state that the tangent was assembled at.
+        A: The tangent.
+    """
+    found = _first_row(system, A)
+    if found is None:
+        return ""
+    place = f"({', '.join(f'{x:.3g}' for x in found)})"
+    culprit = next((str(s) for s, form in _summands(system) if _spoils(system, form)), "")
+    if len(culprit) > LONGEST:
+        culprit = f"{culprit[: LONGEST // 2]} … {culprit[-LONGEST // 2 :]}"
+    what = f"of the summand {culprit} " if culprit else ""
+    return f"the second derivative {what}is not finite at {place}"
+
+
+def _first_row(system: System, A: PETSc.Mat) -> tuple[float, ...] | None:
+    """Place of the first node whose row is not finite, alike on all ranks; None if all are."""
+    x = A.createVecRight()
+    x.set(1.0)
+    b = A.createVecLeft()
+    A.mult(x, b)
+    rows = np.flatnonzero(~np.isfinite(b.array_r))
+    here = None
+    if rows.size:
+        here = tuple(_place(system, int(rows[0])))
+    for item in (x, b):
+        item.destroy()
+    places = [place for place in system.comm.allgather(here) if place is not None]
+    return places[0] if places else None
+
+
+def _place(system: System, dof: int) -> list[float]:
+    """Middle of a cell that has a degree of freedom of this rank; local."""
+    mesh, dofmap = system.u.function_space.mesh, system.u.function_space.dofmap
+    cell = int(np.flatnonzero((dofmap.list == dof // dofmap.bs).any(axis=1))[0])
+    nodes = _dolfinx.geometry_dofmap(mesh)[cell]
+    return mesh.geometry.x[nodes].mean(axis=0)[: mesh.geometry.dim].tolist()
+
+
+def _summands(system: System) -> Iterator[tuple[ufl.core.expr.Expr, ufl.Form]]:
+    """Summands of the potential, each with its functional."""
+    if system.potential.arguments():
+        return
+    for integral in system.potential.integrals():
+        for summand in _terms(integral.integrand()):
+            yield summand, ufl.Form([integral.reconstruct(integrand=summand)])
+
+
+def _terms(e: ufl.core.expr.Expr) -> Iterator[ufl.core.expr.Expr]:
+    """Terms of a sum, of sums in it, and of a sum times a factor."""
+    if isinstance(e, ufl.classes.Sum):
+        for operand in e.ufl_operands:
+            yield from _terms(operand)
+    elif isinstance(e, ufl.classes.Product) and isinstance(e.ufl_operands[1], ufl.classes.Sum):
+        for term in _terms(e.ufl_operands[1]):
+            yield e.ufl_operands[0] * term
+    else:
+        yield e
+
+
+def _spoils(system: System, functional: ufl.Form) -> bool:
+    """Whether a functional's tangent is not finite. Collective."""
+    form = expand_derivatives(expanded(functional))
+    if form.empty() or system.u not in form.coefficients():
+        return False
+    K = expand_derivatives(tangent(residual(form, system.u), system.u))
+    if K.empty():
+        return False
+    compiled_form = compiled(K)
+    A = create_matrix(compiled_form)
+    assemble(A, compiled_form, [])
+    finite = bool(np.isfinite(A.norm()))
+    A.destroy()
+    return not system.comm.allreduce(finite, MPI.LAND)

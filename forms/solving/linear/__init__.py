@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Linear solvers: presets, preconditioners and how long each is kept."""

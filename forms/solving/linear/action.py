@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Products with the tangent that need no assembled tangent."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+
+from ...assembly import System
+from ...compilation import compiled
+
+
+class Action:
+    """K x by the derivative of the residual in the direction x, cell by cell.
+
+    From degree 2 on it costs as much as a product with the assembled matrix or less, and saves
+    assembling one at each iteration; supported rows and columns are those of identity.
+
+    Args:
+        system: Problem whose tangent it is.
+        A: Matrix for the assembled tangent.
+
+    Attributes:
+        matrix: PETSc matrix that does nothing but multiply.
+        assembled: Whether A holds the present tangent, damped or projected as it may be: the
+            product is then with A.
+    """
+
+    def __init__(self, system: System, A: PETSc.Mat) -> None:
+        self.assembled, self._system, self._A = True, system, A
+        V = system.u.function_space
+        self._x = fem.Function(V)
+        self._form = compiled(ufl.action(system.tangent_ufl, self._x))
+        held = [bc.dof_indices()[0] for bc in system.conditions]
+        self._held = np.unique(np.concatenate([*held, np.empty(0, np.int32)]).astype(np.int32))
+        self._y = system.create_vector()
+        self.matrix = PETSc.Mat().createPython(A.getSizes(), _Shell(self), comm=A.comm)
+        self.matrix.setBlockSize(A.getBlockSize())
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, system.symmetric)
+        self.matrix.setUp()
+
+    def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Put K x, K at the system's u, into y. Collective."""
+        if self.assembled:
+            self._A.mult(x, y)
+            return
+        ours = self._x.x.petsc_vec
+        x.copy(ours)
+        ours.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        self._x.x.array[self._held] = 0
+        with self._y.localForm() as local:
+            local.set(0)
+        fem_petsc.assemble_vector(self._y, self._form)
+        self._y.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        y.array[:] = self._y.array_r
+        y.array[self._system.constrained] = x.array_r[self._system.constrained]
+
+    def destroy(self) -> None:
+        """Free the matrix, which refers to this one."""
+        self.matrix.destroy()
+        self._y.destroy()
+
+
+class _Shell:
+    """What PETSc calls; it would also call a method destroy, with an argument."""
+
+    def __init__(self, action: Action) -> None:
+        self._action = action
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self._action.mult(x, y)

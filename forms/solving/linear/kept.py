@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""How long a preconditioner is kept: a lagged preconditioner, and how exact its solves are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from ...assembly import System
+from .fieldsplit import FieldSplit
+from .order import OrderMultigrid
+
+# Iterations for a digit, over those of the first solve, at which a preconditioner is built anew: an
+# assembly of its operators costs as much as 10 to 25 iterations.
+SLOWER = 2.0
+# Iterations for a digit above which a factorization is faster, up to so many unknowns: in a body
+# that is nearly incompressible and has no pressure of its own.
+SLOW, FACTORIZED_UP_TO = 30, 50_000
+# A kept one that fails is given up after so many times its first iterations.
+PATIENCE = 4
+# The last linear solve aims this much below the goal, if so many digits are enough for it.
+BELOW, DIGITS = 0.3, 4
+LOOSEST = 0.1
+TWO_PRODUCTS_UP_TO = 20_000
+
+
+class Kept:
+    """When a multigrid preconditioner is built, and how far its linear solves go.
+
+    A lagged preconditioner: built at the start of a path, and again when it slows down. What is
+    kept are the coarser operators, and where no tangent is assembled
+    (:class:`forms.solving.linear.action.Action`) the smoother too; else smoothers, and the blocks
+    of a mixed unknown, see the present tangent. Newton's directions are solved for to the preset's
+    tolerance (an inexact Newton method), the last one as far as it takes to get below the goal.
+
+    Args:
+        system: Problem that is solved.
+        ksp: Solver with its options set.
+        preset: Options in use that are the package's own; empty where the user chose.
+        prefix: Prefix of the options.
+        user: Options that are the user's.
+
+    Attributes:
+        used: Whether there is anything to keep.
+        due: Whether it is built anew at the next tangent.
+        stale: Whether the last solve used a preconditioner of an earlier state.
+        slow: Whether a factorization would be faster.
+        goal: Norm of the forces [N] at which Newton's method is to end; 0 where unknown.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        ksp: PETSc.KSP,
+        preset: Mapping[str, str],
+        prefix: str,
+        user: Mapping[str, Any],
+    ) -> None:
+        self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
+        self._levels: OrderMultigrid | None = None
+        self._blocks: FieldSplit | None = None
+        kind = preset.get("pc_type") if self.used else None
+        if kind == "mg":
+            V = system.u.function_space
+            self._levels = OrderMultigrid(V, system.constrained, ksp, prefix)
+        elif kind == "python":
+            self._blocks = FieldSplit(system, ksp, prefix)
+        self._ksp, self.stale, self.due, self._first = ksp, False, True, 0.0
+        self._system = system
+        self.slow, self._small = False, system.size <= FACTORIZED_UP_TO
+        self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
+        self._rtol, *_, self._most = ksp.getTolerances()
+        self._asked = self._rtol
+        if self.used:
+            # Not earlier: SNES asks for a new preconditioner after each tangent.
+            ksp.setPreSolve(self._begin)
+
+    def _begin(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Say what is kept, and set the tolerances of this solve. Collective."""
+        ksp.getPC().setReusePreconditioner(self.stale)
+        norm = b.norm()
+        enough = BELOW * self.goal / norm if norm > 0 else 0.0
+        self._asked = self._rtol
+        if self._own[0] and enough >= 10.0**-DIGITS:
+            self._asked = min(enough, LOOSEST)
+        most = self._most
+        if self._own[1] and self.stale:
+            most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
+        ksp.setTolerances(rtol=self._asked, max_it=most)
+        if not self.stale:
+            with _faster_products(ksp, self._system):
+                ksp.setUp()
+
+    def renew(self) -> None:
+        """Build anew at the next tangent."""
+        self.due = True
+
+    def prepare(self, A: PETSc.Mat) -> None:
+        """Build the preconditioner for a tangent just assembled, or keep it. Collective."""
+        if not self.used:
+            return
+        if self.due and self._levels is not None:
+            self._levels.update(A)
+        if self._blocks is not None:
+            self._blocks.update(A, coarse=self.due)
+        if self.due:
+            self._first = 0.0
+        self.stale, self.due = not self.due, False
+
+    def count(self) -> None:
+        """Take note of the iterations of the linear solve that has just ended."""
+        if not self.used:
+            return
+        each = self._ksp.getIterationNumber() / -np.log10(self._asked)
+        self._first = self._first or each
+        if each > SLOWER * self._first:
+            self.renew()
+        exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+        self.slow = self._small and not self.stale and (each > SLOW or exhausted)
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        for item in (self._levels, self._blocks):
+            if item is not None:
+                item.destroy()
+        self.used, self._levels, self._blocks = False, None, None
+
+
+@contextmanager
+def _faster_products(ksp: PETSc.KSP, system: System) -> Iterator[None]:
+    """Coarse operators by two products instead of PETSc's default, a third of the set-up less.
+
+    On one rank, where PETSc has this way, and where its memory does not matter; PETSc reads the
+    option without a prefix.
+    """
+    options, name = PETSc.Options(), "matptap_via"
+    small = ksp.comm.size == 1 and system.size <= TWO_PRODUCTS_UP_TO
+    ours = small and not options.hasName(name)
+    if ours:
+        options[name] = "rap"
+    try:
+        yield
+    finally:
+        if ours:
+            options.delValue(name)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""Linear solver presets, chosen by size, dimension and symmetry; PETSc options override them."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from dolfinx import fem
+
+from ...assembly import System, displacement_degree
+from ...supports import is_mixed
+from .diagonal import pressures
+
+# Measured with OpenBLAS: in 3D multigrid is faster from 2,000 degrees of freedom on, but a
+# factorization also counts negative eigenvalues, and up to 5,000 it takes a hundredth of a second.
+# In the plane it is faster at every size tried (100 thousand).
+DIRECT_UP_TO = 5_000
+# With a pressure: faster up to 10 thousand in a cube and 40 in a slender bar of tetrahedra, of
+# hexahedra up to 20 and 80.
+SPLIT_FROM = {"tetrahedron": 40_000, "hexahedron": 80_000}
+
+
+def direct(symmetric: bool) -> dict[str, str]:
+    """MUMPS: LDL^T (which takes indefinite tangents) if symmetric, else LU."""
+    return {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky" if symmetric else "lu",
+        "pc_factor_mat_solver_type": "mumps",
+        "mat_mumps_icntl_14": "60",
+        # The root of the elimination tree is not given to ScaLAPACK, so that pivots are counted.
+        "mat_mumps_icntl_13": "1",
+    }
+
+
+def multigrid(degree: int = 1) -> dict[str, str]:
+    """CG with multigrid: by aggregation, for elements of degree 2 and 3 over the order first.
+
+    Newton's method is content with a direction that is 1 % off.
+    """
+    krylov = {"ksp_type": "cg", "ksp_rtol": "1e-2", "ksp_max_it": "200"}
+    # Weak couplings left out: half the iterations on tetrahedra of degree 1.
+    return {**krylov, **({"pc_type": "mg"} if degree > 1 else aggregation("0.02"))}
+
+
+def field_split() -> dict[str, str]:
+    """GMRES with the block preconditioner of :mod:`forms.solving.linear.fieldsplit`.
+
+    Preconditioned from the right: its tolerance is that of the out-of-balance forces.
+    """
+    return {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_gmres_restart": "100",
+        "ksp_rtol": "1e-3",
+        "ksp_max_it": "100",
+        "pc_type": "python",
+    }
+
+
+def aggregation(threshold: str = "-1") -> dict[str, str]:
+    """Smoothed aggregation, with Gauss-Seidel smoothing; weaker couplings are left out."""
+    return {
+        "pc_type": "gamg",
+        "pc_gamg_threshold": threshold,
+        "mg_levels_ksp_type": "richardson",
+        "mg_levels_ksp_max_it": "1",
+        "mg_levels_pc_type": "sor",
+    }
+
+
+def preset(system: System, A: PETSc.Mat) -> dict[str, str]:
+    """Options for a system's tangent. Collective.
+
+    Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
+    freedom, with the field split for symmetric displacement-pressure problems of degree 2 above 40
+    thousand (hexahedra 80), else MUMPS.
+
+    Args:
+        system: What is solved.
+        A: Matrix for its tangent, which may be assembled here to see the second field's block.
+    """
+    V = system.u.function_space
+    if V.mesh.topology.dim != 3:
+        return direct(system.symmetric)
+    degree = displacement_degree(system.u)
+    if system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
+        return multigrid(degree)
+    most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
+    if system.symmetric and system.size > most and degree == 2 and _has_one_scalar(V):
+        system.tangent(A)
+        if pressures(system, A):
+            return field_split()
+    return direct(system.symmetric)
+
+
+def _has_one_scalar(W: fem.FunctionSpace) -> bool:
+    """Whether a space is that of a displacement and one scalar."""
+    if not is_mixed(W) or W.num_sub_spaces != 2:
+        return False
+    return W.sub(0).num_sub_spaces == W.mesh.geometry.dim and W.sub(1).num_sub_spaces == 0

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""A system in one unit: pressures of mixed unknowns scaled, so that every equation is a force."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _dolfinx
+from .._parallel import bounding_box
+from ..assembly import System
+from ..supports import is_mixed
+from .linear.diagonal import typical_diagonal
+
+EPS = float(np.finfo(float).eps)
+
+
+class Scaled:
+    """Residual and tangent of a system in y, where u = D y: D R and D K D.
+
+    D is 1 for displacements and s = typical K_ii / h^(d - 1) [Pa] for pressures, h a typical cell's
+    size: all entries of the residual are then forces [N] and those of the tangent stiffnesses, in
+    any units.
+
+    Args:
+        system: What is scaled.
+        A: Matrix for the system's tangent, in which the stiffness is measured at the start.
+
+    Attributes:
+        size: Diagonal of the mesh's bounding box [m].
+        displacements: Owned local numbers of displacement components.
+        free: Those of them that are not supported.
+        others: Owned local numbers of pressures.
+        rounding: Error of the forces [N], eps * typical K_ii * size * sqrt(n); 0 until measured.
+            It is the body's; :meth:`floor` adds that of stiff springs.
+    """
+
+    def __init__(self, system: System, A: PETSc.Mat) -> None:
+        self.system, self.A = system, A
+        low, high = bounding_box(system.comm, system.u.function_space.mesh.geometry.x)
+        self.size = float(np.linalg.norm(high - low))
+        self.displacements = _displacement_dofs(system)
+        self.others = np.setdiff1d(np.arange(A.getLocalSize()[0]), self.displacements)
+        self.free = np.setdiff1d(self.displacements, system.constrained)
+        self.D = system.create_vector()
+        self.D.set(1)
+        self.mixed = is_mixed(system.u.function_space)
+        self.rounding = 0.0
+        self._stiffness = np.empty(0)
+
+    def measure(self) -> None:
+        """Find the forces' rounding error, and the scale of a pressure, at u. Collective."""
+        system = self.system
+        system.tangent(self.A)
+        diagonal = typical_diagonal(self.A, self.free)
+        self.rounding = EPS * diagonal * self.size * np.sqrt(system.size)
+        self._stiffness = np.abs(self.A.getDiagonal().array_r[self.free])
+        mesh = system.u.function_space.mesh
+        if self.mixed and diagonal > 0:
+            dim = mesh.topology.dim
+            cells = mesh.topology.index_map(dim).size_global
+            h = self.size / cells ** (1 / dim)
+            self.D.array[self.others] = diagonal / h ** (dim - 1)
+
+    def floor(self) -> float:
+        """Error of the forces [N] at u: that of the body, or eps |K_ii u_i|, if it is larger.
+
+        A stiff spring between u and a place that moves resists what u is rounded by. Collective.
+        """
+        own = self._stiffness * self.system.u.x.array[self.free]
+        with np.errstate(over="ignore", invalid="ignore"):
+            springs = EPS * np.sqrt(self.system.comm.allreduce(float(own @ own)))
+        return max(self.rounding, float(springs)) if np.isfinite(springs) else self.rounding
+
+    def residual(self, b: PETSc.Vec) -> float:
+        """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
+        self.system.residual(b)
+        b.pointwiseMult(b, self.D)
+        held = b.array_r[self.system.constrained]
+        # A trial state may be so far off that its forces overflow; it is refused as not finite.
+        with np.errstate(over="ignore", invalid="ignore"):
+            reactions = np.sqrt(self.system.comm.allreduce(float(held @ held)))
+        b.array[self.system.constrained] = 0
+        return float(reactions)
+
+    def tangent(self, projected: bool = False) -> None:
+        """Assemble the tangent into A. Collective."""
+        self.system.tangent(self.A, projected)
+        if self.mixed:
+            self.A.diagonalScale(self.D, self.D)
+
+    def is_finite(self) -> bool:
+        """Whether the assembled tangent is finite: its diagonal, which no cell spares. Collective.
+
+        A derivative that is not finite spoils all entries of its cell's matrix, the diagonal too.
+        """
+        diagonal = self.A.getDiagonal()
+        finite = bool(np.all(np.isfinite(diagonal.array_r)))
+        diagonal.destroy()
+        return bool(self.system.comm.allreduce(finite, MPI.LAND))
+
+    def put(self, y: PETSc.Vec) -> None:
+        """Copy D y into the unknown, ghosts included."""
+        target = self.system.u.x.petsc_vec
+        target.pointwiseMult(y, self.D)
+        target.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+
+    def get(self, y: PETSc.Vec) -> None:
+        """Copy the unknown into y."""
+        y.pointwiseDivide(self.system.u.x.petsc_vec, self.D)
+
+    def destroy(self) -> None:
+        """Free the scale."""
+        self.D.destroy()
+
+
+def _displacement_dofs(system: System) -> NDArray[np.int32]:
+    V = system.u.function_space
+    owned = V.dofmap.index_map.size_local * V.dofmap.bs
+    if not is_mixed(V):
+        return np.arange(owned, dtype=np.int32)
+    numbers = _dolfinx.collapse(V.sub(0))[1]
+    return numbers[numbers < owned]
