@@ -13,6 +13,7 @@ import pytest
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
+LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
 
 def pytest_addoption(parser):
@@ -44,7 +45,7 @@ def root():
 def run():
     """Run a command of the repository; returns the finished process, fails with its output."""
 
-    def start(*command, ranks=1, cwd=ROOT, check=True, timeout=120):
+    def start(*command, ranks=1, cwd=ROOT, check=True):
         words = [sys.executable, *map(str, command)]
         if ranks > 1:
             words = ["mpirun", "-n", str(ranks), *words]
@@ -59,12 +60,12 @@ def run():
             start_new_session=True,
         )
         try:
-            out, err = process.communicate(timeout=timeout)
+            out, err = process.communicate(timeout=LIMIT)
         except subprocess.TimeoutExpired:
             # The whole group: ranks outlive a killed mpirun.
             os.killpg(process.pid, signal.SIGKILL)
             out, err = process.communicate()
-            pytest.fail(f"{' '.join(words)} did not end within {timeout} s\n{out}{err}")
+            pytest.fail(f"{' '.join(words)} did not end within {LIMIT} s\n{out}{err}")
         if check and process.returncode != 0:
             pytest.fail(f"{' '.join(words)} ended with {process.returncode}\n{out}{err}")
         return subprocess.CompletedProcess(words, process.returncode, out, err)

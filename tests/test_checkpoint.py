@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import ufl
 from cases import at_plane, unit_mesh
+from conftest import LIMIT
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -718,7 +719,7 @@ def kill_after(delay, ranks, folder, root):
     for pid in map(int, pids):  # ranks have process groups of their own
         os.kill(pid, signal.SIGKILL)
     os.killpg(process.pid, signal.SIGKILL)
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=LIMIT)
     assert pids, errors
     return float([load, *(line.split()[-1] for line in out.splitlines())][-1]), errors
 

@@ -758,7 +758,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 def test_a_rank_that_has_compiled_alone_takes_part_again(run):
     """Compiling is collective whatever a rank knows, and the jet is one of a single state."""
-    assert run("-c", ONE_RANK_FIRST, ranks=2, timeout=60).stdout.strip() == "1 1"
+    assert run("-c", ONE_RANK_FIRST, ranks=2).stdout.strip() == "1 1"
 
 
 SANITIZED = """
