@@ -13,11 +13,36 @@ import pytest
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
+LONGEST = ["sheets", "multigrid"]  # files of tests, as they come
 LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
 
 def pytest_addoption(parser):
     parser.addoption("--write-table", action="store_true", help="rewrite forms/formulas/README.md")
+
+
+def pytest_xdist_auto_num_workers(config):
+    """How many test files run at a time: two to four for the suite, one where few are asked for.
+
+    A worker takes seconds to begin, and what it records for ``--write-table`` stays its own.
+    """
+    few = len(config.args) == 1 and not Path(config.args[0]).is_dir()
+    option = config.option
+    if few or option.keyword or option.collectonly or option.write_table:
+        return 0
+    cores = len(os.sched_getaffinity(0))
+    return 0 if cores == 1 else min(cores, 4)
+
+
+def pytest_configure(config):
+    if config.option.write_table and config.getoption("numprocesses", 0):
+        raise pytest.UsageError("--write-table records in one process: give no -n, or -n 0.")
+
+
+def pytest_collection_modifyitems(items):
+    """Files that take longest go first, so that no worker is left with one of them at the end."""
+    rank = {f"test_{name}": n for n, name in enumerate(reversed(LONGEST))}
+    items.sort(key=lambda item: -rank.get(item.path.stem, -1))
 
 
 def pytest_runtest_logreport(report):
@@ -41,7 +66,7 @@ def root():
     return ROOT
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def run():
     """Run a command of the repository; returns the finished process, fails with its output."""
 
@@ -73,14 +98,25 @@ def run():
     return start
 
 
-@pytest.fixture
-def parallel(run, tmp_path):
-    """Run a script on several ranks and read the JSON that its rank 0 prints last."""
+def scripts(run, folder):
+    """Run scripts on several ranks in a folder and read the JSON that rank 0 prints last."""
 
     def start(script, ranks, *arguments):
-        file = tmp_path / "script.py"
+        file = folder / "script.py"
         file.write_text(script)
-        done = run(file, *arguments, ranks=ranks, cwd=tmp_path)
+        done = run(file, *arguments, ranks=ranks, cwd=folder)
         return json.loads(done.stdout.strip().splitlines()[-1])
 
     return start
+
+
+@pytest.fixture
+def parallel(run, tmp_path):
+    """Run a script on several ranks and read the JSON that its rank 0 prints last."""
+    return scripts(run, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def parallel_once(run, tmp_path_factory):
+    """As parallel, for numbers that the tests of a module share."""
+    return scripts(run, tmp_path_factory.mktemp("parallel"))
