@@ -13,7 +13,8 @@ import pytest
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
-LONGEST = ["sheets", "multigrid"]  # files of tests, as they come
+LONGEST = ["variation", "operators", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
+LONGEST += ["checkpoint", "insertion", "solve", "paths", "pages", "projection", "membranes"]
 LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
 
