@@ -13,6 +13,7 @@ import pytest
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
+# Files that take longest.
 LONGEST = ["variation", "operators", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
 LONGEST += ["checkpoint", "insertion", "solve", "paths", "pages", "projection", "membranes"]
 LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
@@ -40,10 +41,26 @@ def pytest_configure(config):
         raise pytest.UsageError("--write-table records in one process: give no -n, or -n 0.")
 
 
-def pytest_collection_modifyitems(items):
-    """Files that take longest go first, so that no worker is left with one of them at the end."""
-    rank = {f"test_{name}": n for n, name in enumerate(reversed(LONGEST))}
-    items.sort(key=lambda item: -rank.get(item.path.stem, -1))
+def pytest_xdist_make_scheduler(config, log):
+    """A file's tests, which share what they compile, stay together; slow ones go one by one.
+
+    Those that take longest go first, so that no worker is left with one of them at the end.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class LongestFirst(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if config.option.markexpr == "slow" else nodeid.partition("::")[0]
+
+        def _assign_work_unit(self, node):
+            def place(scope):
+                name = Path(scope.partition("::")[0]).stem.removeprefix("test_")
+                return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+            self.workqueue.move_to_end(min(self.workqueue, key=place), last=False)
+            super()._assign_work_unit(node)
+
+    return LongestFirst(config, log) if config.option.dist == "loadfile" else None
 
 
 def pytest_runtest_logreport(report):
