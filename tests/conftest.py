@@ -14,7 +14,7 @@ import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
 # Files that take longest.
-LONGEST = ["variation", "operators", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
+LONGEST = ["operators", "variation", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
 LONGEST += ["checkpoint", "insertion", "solve", "paths", "pages", "projection", "membranes"]
 LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
