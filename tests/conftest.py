@@ -13,10 +13,54 @@ import pytest
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent
+# Files that take longest.
+LONGEST = ["operators", "variation", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
+LONGEST += ["checkpoint", "insertion", "solve", "paths", "pages", "projection", "membranes"]
+LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
 
 def pytest_addoption(parser):
     parser.addoption("--write-table", action="store_true", help="rewrite forms/formulas/README.md")
+
+
+def pytest_xdist_auto_num_workers(config):
+    """How many test files run at a time: two to four for the suite, one where few are asked for.
+
+    A worker takes seconds to begin, and what it records for ``--write-table`` stays its own.
+    """
+    few = len(config.args) == 1 and not Path(config.args[0]).is_dir()
+    option = config.option
+    if few or option.keyword or option.collectonly or option.write_table:
+        return 0
+    cores = len(os.sched_getaffinity(0))
+    return 0 if cores == 1 else min(cores, 4)
+
+
+def pytest_configure(config):
+    if config.option.write_table and config.getoption("numprocesses", 0):
+        raise pytest.UsageError("--write-table records in one process: give no -n, or -n 0.")
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """A file's tests, which share what they compile, stay together; slow ones go one by one.
+
+    Those that take longest go first, so that no worker is left with one of them at the end.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class LongestFirst(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if config.option.markexpr == "slow" else nodeid.partition("::")[0]
+
+        def _assign_work_unit(self, node):
+            def place(scope):
+                name = Path(scope.partition("::")[0]).stem.removeprefix("test_")
+                return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+            self.workqueue.move_to_end(min(self.workqueue, key=place), last=False)
+            super()._assign_work_unit(node)
+
+    return LongestFirst(config, log) if config.option.dist == "loadfile" else None
 
 
 def pytest_runtest_logreport(report):
@@ -40,11 +84,11 @@ def root():
     return ROOT
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def run():
     """Run a command of the repository; returns the finished process, fails with its output."""
 
-    def start(*command, ranks=1, cwd=ROOT, check=True, timeout=120):
+    def start(*command, ranks=1, cwd=ROOT, check=True):
         words = [sys.executable, *map(str, command)]
         if ranks > 1:
             words = ["mpirun", "-n", str(ranks), *words]
@@ -59,12 +103,12 @@ def run():
             start_new_session=True,
         )
         try:
-            out, err = process.communicate(timeout=timeout)
+            out, err = process.communicate(timeout=LIMIT)
         except subprocess.TimeoutExpired:
             # The whole group: ranks outlive a killed mpirun.
             os.killpg(process.pid, signal.SIGKILL)
             out, err = process.communicate()
-            pytest.fail(f"{' '.join(words)} did not end within {timeout} s\n{out}{err}")
+            pytest.fail(f"{' '.join(words)} did not end within {LIMIT} s\n{out}{err}")
         if check and process.returncode != 0:
             pytest.fail(f"{' '.join(words)} ended with {process.returncode}\n{out}{err}")
         return subprocess.CompletedProcess(words, process.returncode, out, err)
@@ -72,14 +116,25 @@ def run():
     return start
 
 
-@pytest.fixture
-def parallel(run, tmp_path):
-    """Run a script on several ranks and read the JSON that its rank 0 prints last."""
+def scripts(run, folder):
+    """Run scripts on several ranks in a folder and read the JSON that rank 0 prints last."""
 
     def start(script, ranks, *arguments):
-        file = tmp_path / "script.py"
+        file = folder / "script.py"
         file.write_text(script)
-        done = run(file, *arguments, ranks=ranks, cwd=tmp_path)
+        done = run(file, *arguments, ranks=ranks, cwd=folder)
         return json.loads(done.stdout.strip().splitlines()[-1])
 
     return start
+
+
+@pytest.fixture
+def parallel(run, tmp_path):
+    """Run a script on several ranks and read the JSON that its rank 0 prints last."""
+    return scripts(run, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def parallel_once(run, tmp_path_factory):
+    """As parallel, for numbers that the tests of a module share."""
+    return scripts(run, tmp_path_factory.mktemp("parallel"))

@@ -164,7 +164,7 @@ def run(copy: Path, cache: Path, files: list[str], limit: float) -> tuple[str, s
     """Outcome of the tests, "passed", "failed" or another, and the first test that failed."""
     environment = {**os.environ, "PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(cache)}
     environment |= {"PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files]
+    command = [sys.executable, "-m", "pytest", "-n0", "-x", "-q", "-p", "no:cacheprovider", *files]
     process = subprocess.Popen(
         command,
         cwd=copy,

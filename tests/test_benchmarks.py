@@ -48,7 +48,7 @@ def test_benchmark_of_multigrid_runs(run, tmp_path):
 @pytest.mark.slow
 def test_benchmark_of_locking_runs(run, tmp_path):
     """Two ratios on toy meshes: a pressure helps at nu = 0.4999 in both bodies."""
-    done = run("-m", "demos.benchmarks.locking", "--small", cwd=tmp_path, timeout=300)
+    done = run("-m", "demos.benchmarks.locking", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(rows) == 28
     for scene in ("Cook", "cantilever"):
@@ -146,7 +146,7 @@ def test_peers_right_values_are_those_of_the_closed_form():
 
 def test_benchmark_of_work_and_precision_runs(run, tmp_path):
     """Toy sizes: errors fall with the mesh, a membrane's down to that of its model."""
-    done = run("-m", "demos.benchmarks.work_precision", "--small", cwd=tmp_path, timeout=120)
+    done = run("-m", "demos.benchmarks.work_precision", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(rows) == 14 and all(row["converged"] and row["seconds"] > 0 for row in rows)
     curves = {(row["comparison"], row["curve"]): [] for row in rows}
@@ -166,7 +166,7 @@ def test_benchmark_of_work_and_precision_runs(run, tmp_path):
 @pytest.mark.slow
 def test_benchmark_of_scaling_runs(run, tmp_path):
     """Toy size on 1 and 2 ranks: the cells are shared out, and the solve is the same."""
-    done = run("-m", "demos.benchmarks.scaling", "--small", cwd=tmp_path, timeout=300)
+    done = run("-m", "demos.benchmarks.scaling", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     kinds = [(row["what"], row["ranks"]) for row in rows if "what" in row]
     expected = [("strong", 1), ("apart", 1), ("strong", 2), ("weak", 1), ("weak", 2), ("mesh", 1)]

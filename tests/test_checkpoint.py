@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: a path that is taken up equals one without a break; a kill leaves the last whole."""
 
+import json
 import os
 import re
 import resource
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import ChainMap
 from functools import partial
 
 from mpi4py import MPI
@@ -17,6 +19,7 @@ import numpy as np
 import pytest
 import ufl
 from cases import at_plane, unit_mesh
+from conftest import LIMIT
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -471,74 +474,112 @@ def test_checkpoints_are_of_no_partition(parallel, tmp_path):
         assert max(off.values(), default=0) < 1e-13, off
 
 
-PATH = """
+PATHS = """
 import json, sys
 from mpi4py import MPI
 import ufl
 from variform import forms, meshes
 
-scene, folder, stop, rtol = sys.argv[1], sys.argv[2], float(sys.argv[3]), float(sys.argv[4])
 comm = MPI.COMM_WORLD
 neo_hookean = forms.energies.neo_hookean
-if scene == "twist":
-    body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.2)
-    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-    F = forms.deformation_gradient(u)
-    potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
-    supports = [forms.clamp(u, body.facets("left")),
-                forms.rotate(u, body.facets("right"), 1.5 * t, axis=(1, 0, 0))]
-    held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
-elif scene == "mixed":
-    body = meshes.cook(comm, n=4)
-    t, u = forms.load_factor(body), forms.displacement_pressure(body)
-    v, p = ufl.split(u)
-    F = forms.deformation_gradient(v)
-    psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 80.0), F, p, 4e5)
-    right = body.ds("right")
-    potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 6.0 * t]), right)
-    supports = [forms.clamp(u, body.facets("left"))]
-    held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
 
-def on_step(path):
-    if path.load > stop:
-        raise SystemExit
 
-path = forms.follow(potential, u, supports, t, step=0.1, max_step=0.1, on_step=on_step,
-                    checkpoint=forms.Checkpoint(folder), record={"load": lambda s: float(t.value)},
-                    rtol=rtol, progress=False)
-moved = forms.displacement_of(u)
-force, moment = forms.resultant(path.system, held)
-numbers = {
-    "displacement": [forms.at(moved, point).tolist() for point in points],
-    "force": force.tolist(), "moment": moment.tolist(),
-    "square": forms.integral(ufl.inner(u, u) * ufl.dx),
-}
+class Stopped(Exception):
+    pass
+
+
+def follow(scene, folder, stop, rtol):
+    if scene == "twist":
+        body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.2)
+        t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+        F = forms.deformation_gradient(u)
+        potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
+        supports = [forms.clamp(u, body.facets("left")),
+                    forms.rotate(u, body.facets("right"), 1.5 * t, axis=(1, 0, 0))]
+        held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
+    elif scene == "mixed":
+        body = meshes.cook(comm, n=4)
+        t, u = forms.load_factor(body), forms.displacement_pressure(body)
+        v, p = ufl.split(u)
+        F = forms.deformation_gradient(v)
+        psi = forms.energies.isochoric_neo_hookean(F, 80.0)
+        psi = forms.energies.with_pressure(psi, F, p, 4e5)
+        right = body.ds("right")
+        potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 6.0 * t]), right)
+        supports = [forms.clamp(u, body.facets("left"))]
+        held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
+
+    def on_step(path):
+        if path.load > stop:
+            raise Stopped
+
+    path = forms.follow(potential, u, supports, t, step=0.1, max_step=0.1, on_step=on_step,
+                        checkpoint=forms.Checkpoint(folder),
+                        record={"load": lambda s: float(t.value)}, rtol=rtol, progress=False)
+    moved = forms.displacement_of(u)
+    force, moment = forms.resultant(path.system, held)
+    numbers = {
+        "displacement": [forms.at(moved, point).tolist() for point in points],
+        "force": force.tolist(), "moment": moment.tolist(),
+        "square": forms.integral(ufl.inner(u, u) * ufl.dx),
+    }
+    return {"numbers": numbers, "resumed": path.resumed, "loads": path.record("load").tolist()}
+
+
+found = {}
+for scene, folder, stop, rtol in json.loads(sys.argv[1]):
+    try:
+        found[folder] = follow(scene, folder, stop, rtol)
+    except Stopped:
+        found[folder] = "broken off"
+    except Exception as error:  # the others go on
+        found[folder] = f"{type(error).__name__}: {error}"
 if comm.rank == 0:
-    print(json.dumps({"numbers": numbers, "resumed": path.resumed,
-                      "loads": path.record("load").tolist()}))
+    print(json.dumps(found))
 """
+PATHS_ON_RANKS = {
+    "twist": ("twist", (1, 2, 3), 1e-12, 1e-8),
+    "mixed": ("mixed", (3, 2, 1), 1e-12, 1e-8),
+    "twist on 2": ("twist", (2, 2, 2), 1e-8, 1e-10),
+}
 
 
-@pytest.mark.parametrize(
-    ("scene", "ranks", "rtol", "allowed"),
-    [
-        ("twist", (1, 2, 3), 1e-12, 1e-8),
-        ("mixed", (3, 2, 1), 1e-12, 1e-8),
-        ("twist", (2, 2, 2), 1e-8, 1e-10),
-    ],
-)
-def test_a_path_goes_on_on_ranks(scene, ranks, rtol, allowed, run, parallel, tmp_path):
+@pytest.fixture(scope="module")
+def followed(run, tmp_path_factory):
+    """All paths without a break, and broken off twice: one run for each number of ranks in turn."""
+    folder = tmp_path_factory.mktemp("paths")
+    (folder / "script.py").write_text(PATHS)
+    found = []
+    for turn, stop in enumerate((0.25, 0.55, 2.0)):
+        jobs = {}
+        for name, (scene, ranks, rtol, _) in PATHS_ON_RANKS.items():
+            jobs.setdefault(ranks[turn], []).append((scene, f"{name}, broken off", stop, rtol))
+            if turn == 0:
+                jobs[ranks[0]].append((scene, f"{name}, plain", 2.0, rtol))
+        done = [
+            run("script.py", json.dumps(paths), ranks=ranks, cwd=folder)
+            for ranks, paths in jobs.items()
+        ]
+        answers = [json.loads(one.stdout.strip().splitlines()[-1]) for one in done]
+        found.append((dict(ChainMap(*answers)), "".join(one.stderr for one in done)))
+    return found
+
+
+@pytest.mark.parametrize("name", PATHS_ON_RANKS)
+def test_a_path_goes_on_on_ranks(name, followed):
     """Broken off twice, it ends where it ends without a break, on these or other ranks."""
-    wanted = parallel(PATH, ranks[0], scene, "plain", 2.0, rtol)
-    for n, stop in ((0, 0.25), (1, 0.55)):
-        done = run("script.py", scene, "broken off", stop, rtol, ranks=ranks[n], cwd=tmp_path)
-        assert done.stderr.count("Resumed at load factor 0.2 from broken off") == n
-    found = parallel(PATH, ranks[2], scene, "broken off", 2.0, rtol)
+    allowed = PATHS_ON_RANKS[name][-1]
+    broken = f"{name}, broken off"
+    wanted = followed[0][0][f"{name}, plain"]
+    for turn, (answers, errors) in enumerate(followed[:2]):
+        assert answers[broken] == "broken off"
+        assert errors.count(f"Resumed at load factor 0.2 from {broken}") == turn
+    found = followed[2][0][broken]
     assert found["resumed"] == pytest.approx(0.5) and wanted["resumed"] is None
     assert found["loads"] == wanted["loads"]
-    for name, values in wanted["numbers"].items():
-        off = np.abs(np.subtract(found["numbers"][name], values)).max()
-        assert off < allowed * np.abs(values).max(), name
+    for key, values in wanted["numbers"].items():
+        off = np.abs(np.subtract(found["numbers"][key], values)).max()
+        assert off < allowed * np.abs(values).max(), key
 
 
 FAILURES = """
@@ -719,7 +760,7 @@ def kill_after(delay, ranks, folder, root):
     for pid in map(int, pids):  # ranks have process groups of their own
         os.kill(pid, signal.SIGKILL)
     os.killpg(process.pid, signal.SIGKILL)
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=LIMIT)
     assert pids, errors
     return float([load, *(line.split()[-1] for line in out.splitlines())][-1]), errors
 

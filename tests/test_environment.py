@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from conftest import LIMIT
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 DOCKER = REPOSITORY / "docker"
@@ -56,7 +57,7 @@ def enter(*command: str, script: Path = ENTER, **variables: object) -> subproces
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT,
     )
 
 
@@ -174,11 +175,11 @@ def test_entry_hands_on_the_signal_that_ends_a_container():
     """SIGTERM, which `docker stop` sends, ends the command at once."""
     variables = environment()
     variables.pop("DISPLAY", None)
-    command = [DOCKER / "entry", "sh", "-c", "echo started; exec sleep 60"]
+    command = [DOCKER / "entry", "sh", "-c", "echo started; exec sleep 3600"]
     with subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "started\n"
         process.terminate()
-        assert process.wait(timeout=10) == 128 + signal.SIGTERM
+        assert process.wait(timeout=LIMIT) == 128 + signal.SIGTERM
 
 
 # --- the files ------------------------------------------------------------------------------------
@@ -430,23 +431,23 @@ def test_two_at_once_build_once(builder):
     options = {"env": environment(**builder, PAUSE=2), "text": True}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     both = [subprocess.Popen(start, **options, **pipes) for _ in range(2)]
-    answers = [process.communicate(timeout=60) for process in both]
+    answers = [process.communicate(timeout=LIMIT) for process in both]
     assert [out for out, _ in answers] == ["here", "here"]
     assert sum("waiting for another docker/enter" in error for _, error in answers) == 1
     assert builder["RUNS"].read_text() == "run\n"
 
 
 def wait_for(path: Path) -> None:
-    for _ in range(200):
+    for _ in range(20 * LIMIT):
         if path.exists():
             return
         time.sleep(0.05)
-    raise AssertionError(f"{path} did not appear in 10 s")
+    raise AssertionError(f"{path} did not appear in {LIMIT} s")
 
 
 def ended(group: int) -> bool:
     """Whether nothing of a process group is left; the dead may wait a moment to be counted."""
-    for _ in range(100):
+    for _ in range(20 * LIMIT):
         try:
             os.killpg(group, 0)
         except ProcessLookupError:
@@ -470,7 +471,7 @@ def test_a_killed_front_leaves_a_build_that_goes_on(builder):
 def test_a_killed_build_is_cleared_and_made_anew(builder):
     """`kill -9` of docker/enter and its build leaves mmdebstrap running; the next call ends it."""
     process = subprocess.Popen(
-        [ENTER, "true"], env=environment(**builder, PAUSE=300), stderr=subprocess.DEVNULL
+        [ENTER, "true"], env=environment(**builder, PAUSE=3600), stderr=subprocess.DEVNULL
     )
     wait_for(builder["RUNS"])
     process.kill()
@@ -484,12 +485,12 @@ def test_a_killed_build_is_cleared_and_made_anew(builder):
 def test_an_interrupted_build_leaves_nothing(builder):
     """SIGTERM ends the build as a whole, and the exit code is the signal's."""
     process = subprocess.Popen(
-        [ENTER, "true"], env=environment(**builder, PAUSE=300), stderr=subprocess.PIPE, text=True
+        [ENTER, "true"], env=environment(**builder, PAUSE=3600), stderr=subprocess.PIPE, text=True
     )
     wait_for(builder["RUNS"])
     group = int((builder["ENTER_CACHE"] / "builder").read_text().split()[1])
     process.terminate()
-    _, error = process.communicate(timeout=20)
+    _, error = process.communicate(timeout=LIMIT)
     assert error.splitlines()[-1] == "enter: stopped; nothing is left behind"
     assert process.returncode == 128 + signal.SIGTERM
     assert list(builder["ENTER_CACHE"].glob("root-*")) == []
@@ -498,12 +499,12 @@ def test_an_interrupted_build_leaves_nothing(builder):
 
 def test_a_signal_reaches_the_command(builder):
     """docker/enter becomes the command: SIGTERM ends it, and nothing stays between."""
-    command = [ENTER, "sh", "-c", "echo started; exec sleep 60"]
+    command = [ENTER, "sh", "-c", "echo started; exec sleep 3600"]
     with subprocess.Popen(command, env=environment(**builder), stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"started\n"
         process.terminate()
         # The output ends only when nobody is left who could write to it.
-        assert process.communicate(timeout=10) == (b"", None)
+        assert process.communicate(timeout=LIMIT) == (b"", None)
         assert process.returncode == -signal.SIGTERM
 
 

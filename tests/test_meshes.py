@@ -15,6 +15,7 @@ import gmsh
 import numpy as np
 import pytest
 import ufl
+from conftest import LIMIT
 from dolfinx import fem
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import exterior_facet_indices
@@ -769,7 +770,12 @@ def test_n_ranks_are_one_rank(tmp_path) -> None:
     for ranks in 1, 2, 3:
         start = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
         done = subprocess.run(
-            [*start, *program], env=env, capture_output=True, text=True, timeout=60, check=False
+            [*start, *program],
+            env=env,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+            check=False,
         )
         assert done.returncode == 0, done.stderr[-2000:]
         results.append(json.loads(done.stdout.splitlines()[-1]))

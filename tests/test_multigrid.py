@@ -26,6 +26,7 @@ import json, sys
 from mpi4py import MPI
 from petsc4py import PETSc
 import numpy as np, ufl
+from dolfinx import fem
 from variform import forms, meshes
 
 
@@ -34,7 +35,9 @@ def bent(cells, n, kappa, mu=1.0, length=1.0, contrast=1.0):
     body = meshes.block(MPI.COMM_WORLD, (2 * length, length, length), n=(2 * n, n, n), cells=cells)
     t = forms.load_factor(body)
     x = ufl.SpatialCoordinate(body.mesh)
-    stiff = ufl.conditional(ufl.lt(x[1], length / 2), contrast * mu, mu)
+    # Constants: other numbers are no other form, which would be compiled again.
+    half, more, mu = (fem.Constant(body.mesh, c) for c in (length / 2, contrast * mu, mu))
+    stiff = ufl.conditional(ufl.lt(x[1], half), more, mu)
     if kappa is None:
         w = u = forms.displacement(body, 2)
         psi = forms.energies.neo_hookean(forms.deformation_gradient(u), stiff, 1.5 * mu)
@@ -42,7 +45,7 @@ def bent(cells, n, kappa, mu=1.0, length=1.0, contrast=1.0):
         w = forms.displacement_pressure(body)
         u, p = ufl.split(w)
         F = forms.deformation_gradient(u)
-        bulk = None if kappa == np.inf else kappa * mu
+        bulk = None if kappa == np.inf else fem.Constant(body.mesh, kappa) * mu
         psi = forms.energies.isochoric_neo_hookean(F, stiff)
         psi = forms.energies.with_pressure(psi, F, p, bulk)
     load = forms.dead_traction(u, ufl.as_vector([0, 0.05 * mu * t, 0]), body.ds("right"))

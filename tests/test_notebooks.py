@@ -86,7 +86,7 @@ def test_title_questions_and_exercises(source):
 def test_runs_with_its_solutions(source, run):
     """The builder runs cells and solutions, refuses what raises or warns, and writes nothing."""
     before = source.with_suffix(".ipynb").read_bytes()
-    done = run("-m", "demos.notebooks", "--check", source.stem, timeout=180)
+    done = run("-m", "demos.notebooks", "--check", source.stem)
     assert re.fullmatch(rf"{source.stem} +[\d.]+ s +\d+ kB\n", done.stdout)
     assert done.stderr == ""
     assert source.with_suffix(".ipynb").read_bytes() == before

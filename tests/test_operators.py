@@ -78,7 +78,7 @@ def test_the_same_energy_both_ways(name, cells, degree, rng):
 
 @pytest.mark.parametrize("rule", [0, 1, 3, 6])
 def test_any_quadrature_degree(rule, rng):
-    u, F = moved(unit_mesh(3), rng, 2)
+    u, F = moved(unit_mesh(2, 2), rng, 2)
     dx = ufl.dx(degree=rule)
     plain, operator = PAIRS["neo_hookean"]
     same(numbers(operator(F, MU, LMBDA) * dx, u), numbers(plain(F, MU, LMBDA) * dx, u))
@@ -116,7 +116,7 @@ def test_facets_and_subdomains(cells, rng):
     """Named facets and cells, each with its own parameters, beside a follower load."""
     body = MESHES[cells]()
     dim = body.topology.dim
-    u, F = moved(body, rng, 2)
+    u, F = moved(body, rng, 2 if dim == 2 else 1)  # order 2 in space compiles for a minute
     half = mesh.locate_entities(body, dim, lambda x: x[0] <= 0.5 + 1e-9)
     every = np.arange(body.topology.index_map(dim).size_local, dtype=np.int32)
     cell_tags = mesh.meshtags(body, dim, every, np.isin(every, half).astype(np.int32))
@@ -139,7 +139,7 @@ def test_facets_and_subdomains(cells, rng):
 def test_parameters_that_vary(rng):
     """Mu a DG0 field, lmbda a P2 field, a vector Constant, x, and a gradient inside psi_hat."""
     body = unit_mesh(3)
-    u, F = moved(body, rng, 2)
+    u, F = moved(body, rng)
     mu = fem.Function(fem.functionspace(body, ("DG", 0)))
     mu.x.array[:] = rng.uniform(1, 2, mu.x.array.size)
     T = fem.Function(fem.functionspace(body, ("Lagrange", 2)))
@@ -758,7 +758,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 def test_a_rank_that_has_compiled_alone_takes_part_again(run):
     """Compiling is collective whatever a rank knows, and the jet is one of a single state."""
-    assert run("-c", ONE_RANK_FIRST, ranks=2, timeout=60).stdout.strip() == "1 1"
+    assert run("-c", ONE_RANK_FIRST, ranks=2).stdout.strip() == "1 1"
 
 
 SANITIZED = """

@@ -2,123 +2,143 @@
 """1, 2 and 3 ranks give the same numbers, and no rank hangs."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 
-SCENE = """
-import json, sys
+SCENES = """
+import json
 from mpi4py import MPI
 import numpy as np, ufl
 from variform import forms, meshes
 
-scene, tight = sys.argv[1], sys.argv[2] == "tight"
 comm = MPI.COMM_WORLD
-tolerance = {"rtol": 1e-12, "ctol": 1e-10} if tight else {}
 neo_hookean = forms.energies.neo_hookean
-virtual_work = None
-if scene == "twist":
-    body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.12)
-    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-    F = forms.deformation_gradient(u)
-    potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
-    supports = [forms.clamp(u, body.facets("left")),
-                forms.rotate(u, body.facets("right"), 0.8 * t, axis=(1, 0, 0))]
-    held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
-elif scene == "mixed":
-    body = meshes.cook(comm, n=6)
-    t, u = forms.load_factor(body), forms.displacement_pressure(body)
-    v, p = ufl.split(u)
-    F = forms.deformation_gradient(v)
-    psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 80.0), F, p, 4e5)
-    right = body.ds("right")
-    potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 3.0 * t]), right)
-    supports = [forms.clamp(u, body.facets("left"))]
-    held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
-elif scene == "follower":
-    body = meshes.block(comm, (4.0, 1.0, 1.0), n=(8, 2, 2), cells="hexahedron")
-    t, u = forms.load_factor(body), forms.displacement(body)
-    F = forms.deformation_gradient(u)
-    potential = neo_hookean(F, 1.0, 2.0) * ufl.dx
-    work = forms.follower_pressure(u, 0.01 * t, ufl.TestFunction(u.function_space), body.ds("top"))
-    virtual_work = work
-    supports = [forms.clamp(u, body.facets("left"))]
-    held, points = body.facets("left"), [(4.0, 1.0, 1.0), (2.1, 0.3, 0.7)]
-elif scene == "sheet":
-    body = meshes.block(comm, (2.0, 1.0), h=0.25)
-    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-    psi = lambda F: neo_hookean(F, 1.0, 2.0)
-    F = forms.plane_stress(u, psi)
-    potential = psi(F) * ufl.dx
-    supports = [forms.clamp(u, body.facets("left")),
-                forms.translate(u, body.facets("right"), (0.6 * t, 0.0))]
-    held, points = body.facets("right"), [(1.0, 1.0), (1.3, 0.2)]
-elif scene == "operator":
-    body = meshes.block(comm, (2.0, 0.4, 0.4), h=0.2)
-    t, u = forms.load_factor(body), forms.displacement(body)
-    F, X = forms.deformation_gradient(u), ufl.SpatialCoordinate(body.mesh)
-    stretch = 1 / (1 - 0.8 * t * (X[2] - 0.2))
-    A = ufl.as_matrix([[stretch, 0, 0], [0, 1, 0], [0, 0, 1]])
-    psi = forms.energies.activated(F, A, 1.0) + forms.energies.fixed_corotated(F, 0.1, 1.0)
-    soft = forms.energies.as_rigid_as_possible(F, 0.05)
-    potential = psi * ufl.dx + soft * body.ds("right")
-    virtual_work = forms.follower_pressure(
-        u, 0.01 * t, ufl.TestFunction(u.function_space), body.ds("top"))
-    supports = [forms.clamp(u, body.facets("left"))]
-    held, points = body.facets("left"), [(2.0, 0.4, 0.4), (1.1, 0.1, 0.3)]
-elif scene == "membrane":
-    body = meshes.spherical_sheet(comm, 1.0, 0.4, 2, "octant")
-    t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-    F = forms.membrane_gradient(u)
-    side = forms.orientation(body)
-    psi = forms.energies.principal(lambda s1, s2: (s1**2 + s2**2 + (s1 * s2)**-2 - 3) / 2)(F)
-    potential = psi * ufl.dx - 1.1 * t * forms.enclosed_volume(u, side)
-    supports = [forms.roller(u, body.facets(f"{a}0"), k) for k, a in enumerate("xyz")]
-    held, points = body.facets("x0"), []
-elif scene == "scrambled":
-    body = meshes.block(comm, (1.0, 1.0, 1.0), n=(4, 4, 4))
-    t, u = forms.load_factor(body), forms.displacement(body)
-    F = forms.deformation_gradient(u)
-    potential = forms.energies.fixed_corotated(F, 1.0, 10.0) * ufl.dx
-    supports = [forms.clamp(u, body.facets(name)) for name in body.boundaries if name != "top"]
-    supports.append(forms.translate(u, body.facets("top"), (0.2, 0, 0.3)))
-    x = u.function_space.tabulate_dof_coordinates()
-    throw = np.random.default_rng(1).uniform(-0.4, 0.4, (5, 5, 5, 3))
-    grid = np.round(4 * x).astype(int)
-    inside = ((grid > 0) & (grid < 4)).all(axis=1)
-    thrown = throw[grid[:, 0], grid[:, 1], grid[:, 2]]
-    u.x.array[:] = np.where(inside[:, None], thrown, 0).ravel()
-    held, points = body.facets("top"), [(0.5, 0.5, 0.75), (0.3, 0.3, 0.3)]
-if scene == "scrambled":
-    path = forms.solve(potential, u, supports, projection="always", **tolerance)
-else:
-    path = forms.follow(potential, u, supports, t, step=0.5, virtual_work=virtual_work,
-                        progress=False, **tolerance)
-moved = forms.displacement_of(u)
-force, moment = forms.resultant(path.system, held)
-numbers = {
-    "displacement": [forms.at(moved, point).tolist() for point in points]
-    or [forms.integral(ufl.inner(u, u) * ufl.dx)],
-    "force": force.tolist(), "moment": moment.tolist(),
-    "volume": forms.integral(forms.enclosed_volume(u, side)) if scene == "membrane"
-    else forms.volume(F, ufl.dx(body.mesh)),
-    "J": forms.smallest_volume_ratio(F, body.mesh) if scene not in ("sheet", "membrane") else 1.0,
-    "iterations": [s.convergence.iterations for s in path.steps],
-}
+
+
+def solved(scene, tight):
+    "Numbers of a scene; its points are where the displacement is read."
+    tolerance = {"rtol": 1e-12, "ctol": 1e-10} if tight else {}
+    virtual_work = None
+    if scene == "twist":
+        body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.12)
+        t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+        F = forms.deformation_gradient(u)
+        potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
+        supports = [forms.clamp(u, body.facets("left")),
+                    forms.rotate(u, body.facets("right"), 0.8 * t, axis=(1, 0, 0))]
+        held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
+    elif scene == "mixed":
+        body = meshes.cook(comm, n=6)
+        t, u = forms.load_factor(body), forms.displacement_pressure(body)
+        v, p = ufl.split(u)
+        F = forms.deformation_gradient(v)
+        psi = forms.energies.isochoric_neo_hookean(F, 80.0)
+        psi = forms.energies.with_pressure(psi, F, p, 4e5)
+        right = body.ds("right")
+        potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 3.0 * t]), right)
+        supports = [forms.clamp(u, body.facets("left"))]
+        held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
+    elif scene == "follower":
+        body = meshes.block(comm, (4.0, 1.0, 1.0), n=(8, 2, 2), cells="hexahedron")
+        t, u = forms.load_factor(body), forms.displacement(body)
+        F = forms.deformation_gradient(u)
+        potential = neo_hookean(F, 1.0, 2.0) * ufl.dx
+        virtual_work = forms.follower_pressure(
+            u, 0.01 * t, ufl.TestFunction(u.function_space), body.ds("top"))
+        supports = [forms.clamp(u, body.facets("left"))]
+        held, points = body.facets("left"), [(4.0, 1.0, 1.0), (2.1, 0.3, 0.7)]
+    elif scene == "sheet":
+        body = meshes.block(comm, (2.0, 1.0), h=0.25)
+        t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+        psi = lambda F: neo_hookean(F, 1.0, 2.0)
+        F = forms.plane_stress(u, psi)
+        potential = psi(F) * ufl.dx
+        supports = [forms.clamp(u, body.facets("left")),
+                    forms.translate(u, body.facets("right"), (0.6 * t, 0.0))]
+        held, points = body.facets("right"), [(1.0, 1.0), (1.3, 0.2)]
+    elif scene == "operator":
+        body = meshes.block(comm, (2.0, 0.4, 0.4), h=0.2)
+        t, u = forms.load_factor(body), forms.displacement(body)
+        F, X = forms.deformation_gradient(u), ufl.SpatialCoordinate(body.mesh)
+        stretch = 1 / (1 - 0.8 * t * (X[2] - 0.2))
+        A = ufl.as_matrix([[stretch, 0, 0], [0, 1, 0], [0, 0, 1]])
+        psi = forms.energies.activated(F, A, 1.0) + forms.energies.fixed_corotated(F, 0.1, 1.0)
+        soft = forms.energies.as_rigid_as_possible(F, 0.05)
+        potential = psi * ufl.dx + soft * body.ds("right")
+        virtual_work = forms.follower_pressure(
+            u, 0.01 * t, ufl.TestFunction(u.function_space), body.ds("top"))
+        supports = [forms.clamp(u, body.facets("left"))]
+        held, points = body.facets("left"), [(2.0, 0.4, 0.4), (1.1, 0.1, 0.3)]
+    elif scene == "membrane":
+        body = meshes.spherical_sheet(comm, 1.0, 0.4, 2, "octant")
+        t, u = forms.load_factor(body), forms.displacement(body, degree=2)
+        F = forms.membrane_gradient(u)
+        side = forms.orientation(body)
+        psi = forms.energies.principal(lambda s1, s2: (s1**2 + s2**2 + (s1 * s2)**-2 - 3) / 2)(F)
+        potential = psi * ufl.dx - 1.1 * t * forms.enclosed_volume(u, side)
+        supports = [forms.roller(u, body.facets(f"{a}0"), k) for k, a in enumerate("xyz")]
+        held, points = body.facets("x0"), []
+    elif scene == "scrambled":
+        body = meshes.block(comm, (1.0, 1.0, 1.0), n=(4, 4, 4))
+        t, u = forms.load_factor(body), forms.displacement(body)
+        F = forms.deformation_gradient(u)
+        potential = forms.energies.fixed_corotated(F, 1.0, 10.0) * ufl.dx
+        supports = [forms.clamp(u, body.facets(name)) for name in body.boundaries if name != "top"]
+        supports.append(forms.translate(u, body.facets("top"), (0.2, 0, 0.3)))
+        x = u.function_space.tabulate_dof_coordinates()
+        throw = np.random.default_rng(1).uniform(-0.4, 0.4, (5, 5, 5, 3))
+        grid = np.round(4 * x).astype(int)
+        inside = ((grid > 0) & (grid < 4)).all(axis=1)
+        thrown = throw[grid[:, 0], grid[:, 1], grid[:, 2]]
+        u.x.array[:] = np.where(inside[:, None], thrown, 0).ravel()
+        held, points = body.facets("top"), [(0.5, 0.5, 0.75), (0.3, 0.3, 0.3)]
+    if scene == "scrambled":
+        path = forms.solve(potential, u, supports, projection="always", **tolerance)
+    else:
+        path = forms.follow(potential, u, supports, t, step=0.5, virtual_work=virtual_work,
+                            progress=False, **tolerance)
+    moved = forms.displacement_of(u)
+    force, moment = forms.resultant(path.system, held)
+    return {
+        "displacement": [forms.at(moved, point).tolist() for point in points]
+        or [forms.integral(ufl.inner(u, u) * ufl.dx)],
+        "force": force.tolist(), "moment": moment.tolist(),
+        "volume": forms.integral(forms.enclosed_volume(u, side)) if scene == "membrane"
+        else forms.volume(F, ufl.dx(body.mesh)),
+        "J": 1.0 if scene in ("sheet", "membrane") else forms.smallest_volume_ratio(F, body.mesh),
+        "iterations": [s.convergence.iterations for s in path.steps],
+    }
+
+
+found = {}
+for scene in ["twist", "mixed", "follower", "sheet", "operator", "membrane", "scrambled"]:
+    for tolerance in ["tight", "default"]:
+        try:
+            found[f"{scene}, {tolerance}"] = solved(scene, tolerance == "tight")
+        except Exception as error:  # the others go on
+            found[f"{scene}, {tolerance}"] = {"error": f"{type(error).__name__}: {error}"}
 if comm.rank == 0:
-    print(json.dumps(numbers))
+    print(json.dumps(found))
 """
+
+
+@pytest.fixture(scope="module")
+def solved(parallel_once):
+    """All scenes on 1, 2 and 3 ranks, in one run each."""
+    return [parallel_once(SCENES, ranks) for ranks in (1, 2, 3)]
 
 
 @pytest.mark.parametrize("tolerance", ["tight", "default"])
 @pytest.mark.parametrize(
     "scene", ["twist", "mixed", "follower", "sheet", "operator", "membrane", "scrambled"]
 )
-def test_ranks_give_the_same_numbers(scene, tolerance, parallel):
+def test_ranks_give_the_same_numbers(scene, tolerance, solved):
     """Solved to 1e-12, 1, 2 and 3 ranks agree to 1e-10; at the defaults to ten times 1e-6."""
     allowed = 1e-10 if tolerance == "tight" else 1e-5
-    one, *others = (parallel(SCENE, ranks, scene, tolerance) for ranks in (1, 2, 3))
+    one, *others = (found[f"{scene}, {tolerance}"] for found in solved)
+    for other in (one, *others):
+        assert "error" not in other, other["error"]
     for other in others:
         for name in ("displacement", "force", "moment", "volume", "J"):
             size = np.abs(one[name]).max()
@@ -173,8 +193,9 @@ u, t = forms.displacement(body), forms.load_factor(body)
 psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 5.0)
 supports = [forms.clamp(u, body.facets("left")),
             forms.translate(u, body.facets("right"), (-3.0 * t, 0.0))]
-what = sys.argv[1]
-try:
+
+
+def fail(what):
     if what == "folder":
         forms.summary(forms.solve(psi * ufl.dx, u, supports), "/proc/none/run.json")
     elif what == "vtx":
@@ -188,32 +209,41 @@ try:
     elif what == "diverges":
         forms.follow(psi * ufl.dx, u, supports, t, min_step=0.05, progress=False,
                      options={"snes_max_it": 2})
-except Exception as error:
-    sys.stdout.write(f"{type(error).__name__} {error}\\n")  # one write, so that ranks do not mix
-else:
-    sys.stdout.write("no error\\n")
+
+
+said = []
+for what in sys.argv[1].split(","):
+    u.x.array[:], t.value = 0, 0
+    try:
+        fail(what)
+    except Exception as error:
+        said.append(f"{what}: {type(error).__name__} {error}\\n")
+    else:
+        said.append(f"{what}: no error\\n")
+sys.stdout.write("".join(said))  # one write, so that ranks do not mix
 """
+ERRORS = {
+    "folder": "FileNotFoundError",
+    "vtx": "FileNotFoundError",
+    "point": "ValueError the point (2.0, 0.0) lies 1 outside the mesh",
+    "empty": "ValueError a support needs facets, got none on any rank",
+    "name": 'ValueError no boundary named "lfet"',
+    "diverges": "NotConverged SNES stopped after",
+}
 
 
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        ("folder", "FileNotFoundError"),
-        ("vtx", "FileNotFoundError"),
-        ("point", "ValueError the point (2.0, 0.0) lies 1 outside the mesh"),
-        ("empty", "ValueError a support needs facets, got none on any rank"),
-        ("name", 'ValueError no boundary named "lfet"'),
-        ("diverges", "NotConverged SNES stopped after"),
-    ],
-)
-def test_errors_reach_all_ranks_at_once(what, message, run, tmp_path):
-    """Each rank raises the same error within seconds; none waits for another."""
-    file = tmp_path / "failing.py"
-    file.write_text(FAILURES)
-    start = time.monotonic()
-    done = run(file, what, ranks=2, cwd=tmp_path, timeout=60)
-    assert time.monotonic() - start < 60
-    assert done.stdout.count(message) == 2, done.stdout + done.stderr
+@pytest.fixture(scope="module")
+def said(run, tmp_path_factory):
+    """What two ranks print whose calls fail, one after the other."""
+    folder = tmp_path_factory.mktemp("failing")
+    (folder / "failing.py").write_text(FAILURES)
+    return run("failing.py", ",".join(ERRORS), ranks=2, cwd=folder)
+
+
+@pytest.mark.parametrize("what", ERRORS)
+def test_errors_reach_all_ranks_at_once(what, said):
+    """Each rank raises the same error; none waits for another."""
+    assert said.stdout.count(f"{what}: {ERRORS[what]}") == 2, said.stdout + said.stderr
 
 
 def test_command_line_wins(run, tmp_path):
@@ -242,12 +272,11 @@ print("went on")
 @pytest.mark.parametrize("who", ["one", "all"])
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_an_exception_of_one_rank_ends_all(who, ranks, run, tmp_path):
-    """Within seconds, with the message; where all raise, nobody has to be killed."""
+    """With the message; where all raise, nobody has to be killed."""
     file = tmp_path / "script.py"
     file.write_text(ALONE)
-    start = time.monotonic()
     done = run(file, who, ranks=ranks, cwd=tmp_path, check=False)
-    assert done.returncode != 0 and time.monotonic() - start < 30
+    assert done.returncode != 0
     assert "went on" not in done.stdout
     count = ranks if who == "all" else 1
     assert done.stderr.count("ValueError: the mesh is too coarse") == count

@@ -57,8 +57,8 @@ def execute(notebook):
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(
             notebook,
-            timeout=600,
-            startup_timeout=300,
+            timeout=900,
+            startup_timeout=900,
             record_timing=False,
             resources={"metadata": {"path": folder}},
         )
