@@ -16,8 +16,8 @@ import ufl
 from mpmath import mp
 
 from variform.forms import energies
-from variform.forms.native.library import describe, library
-from variform.forms.operators.evaluate import evaluate
+from variform.forms.native.library import library
+from variform.forms.operators.evaluate import describe, evaluate
 from variform.forms.operators.jets import Kind
 from variform.forms.operators.stretches import NOWHERE, StretchFunction
 
