@@ -77,7 +77,7 @@ for step in path.steps:
 # The picture shows the stretch of the fibers, |F A|: they lengthen below, shorten above.
 
 # %%
-stretch = ufl.sqrt(forms.fiber_invariants(F, fiber)[0])
+stretch = ufl.sqrt(forms.kinematics.fiber_invariants(F, fiber)[0])
 forms.picture(path, folder / "bar.png", stretch, "fiber\nstretch [-]", view=(0.3, -1.0, 0.3))
 
 # %% [markdown]

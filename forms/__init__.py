@@ -17,25 +17,27 @@ from .kinematics import (
     axisymmetric,
     circumference,
     deformation_gradient,
-    fiber_invariants,
-    isochoric,
     plane_stress_incompressible,
 )
 from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
-from .membranes import enclosed_volume, membrane_gradient, membrane_pressure, orientation
+from .membranes import enclosed_volume, membrane_gradient
 from .paths import NotConverged, Path
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
 from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
 from .supports import (
     clamp,
-    displacement,
-    displacement_pressure,
-    load_factor,
     pin,
     prescribe,
     roller,
     rotate,
     translate,
+)
+from .unknowns import (
+    Role,
+    displacement,
+    displacement_pressure,
+    load_factor,
+    unknown,
 )
 from .variation import derivative, residual, tangent
 
@@ -45,15 +47,14 @@ __all__ = [  # in the order a user meets them
     "load_factor",
     "displacement",
     "displacement_pressure",
+    "unknown",
+    "Role",
     "deformation_gradient",
     "axisymmetric",
     "circumference",
     "plane_stress",
     "plane_stress_incompressible",
     "membrane_gradient",
-    "orientation",
-    "isochoric",
-    "fiber_invariants",
     "kinematics",
     "membranes",
     "energies",
@@ -63,7 +64,6 @@ __all__ = [  # in the order a user meets them
     "dead_traction",
     "follower_pressure",
     "pressure_potential",
-    "membrane_pressure",
     "enclosed_volume",
     "spring",
     "clamp",
@@ -105,8 +105,10 @@ _MOVED = {
         (
             "almansi_strain",
             "deformed_fiber",
+            "fiber_invariants",
             "green_strain",
             "invariants",
+            "isochoric",
             "left_cauchy_green",
             "material_product",
             "right_cauchy_green",
@@ -115,7 +117,16 @@ _MOVED = {
         ),
         "kinematics",
     ),
-    **dict.fromkeys(("area_vector", "incompressible_sheet", "membrane_invariants"), "membranes"),
+    **dict.fromkeys(
+        (
+            "area_vector",
+            "incompressible_sheet",
+            "membrane_invariants",
+            "membrane_pressure",
+            "orientation",
+        ),
+        "membranes",
+    ),
     "Convergence": "paths",
     "Newton": "solving",
     "SingularValueEnergy": "operators",

@@ -23,7 +23,8 @@ from .differentiation import Dependent, dependents, expanded
 from .loads import with_kinematics
 from .operators.jets import Jet
 from .quadrature import with_quadrature
-from .supports import Support, is_mixed
+from .supports import Support
+from .unknowns import Field, displacement_field, fields_of
 from .variation import residual, tangent
 
 
@@ -34,8 +35,8 @@ class System:
     Attributes:
         u: Unknown; the assembling methods evaluate at its present values.
         supports: Prescribed displacements.
-        minimization: Whether the solution minimizes the energy: a potential of the displacement
-            alone, with no load that is a virtual work.
+        minimization: Whether the solution minimizes the energy: a potential of fields that are all
+            minimized over, with no load that is a virtual work.
         symmetric: Whether the tangent is symmetric.
         constants: Constants in the forms.
         potential: Total potential, or residual, that all of it was derived from.
@@ -92,9 +93,18 @@ class System:
 
     @property
     def is_displacement(self) -> bool:
-        """Whether the unknown is a vector with one component per dimension."""
-        V = self.u.function_space
-        return not is_mixed(V) and V.num_sub_spaces == V.mesh.geometry.dim
+        """Whether the unknown is a displacement and nothing else."""
+        return len(self.fields) == 1 and self.displacement is not None
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        """Fields of the unknown by name."""
+        return fields_of(self.u)
+
+    @property
+    def displacement(self) -> Field | None:
+        """The field that moves points of the body; None where there is none."""
+        return displacement_field(self.u)
 
     @property
     def size(self) -> int:
@@ -179,10 +189,10 @@ class System:
             ValueError: the tangent is no second derivative of an energy to be minimized, or has
                 integrals that cannot be projected.
         """
-        if not (self.minimization and self.is_displacement):
+        if not self.minimization:
             raise ValueError(
-                "a projected tangent needs a potential of the displacement alone, got a mixed "
-                "unknown, a virtual work or a residual: solve with projection='never'."
+                "a projected tangent needs a potential of fields that are minimized over, got a "
+                "multiplier, a virtual work or a residual: solve with projection='never'."
             )
         if self.projected_form is None:
             self.projected_form = compiled(self.tangent_ufl, project=True)
@@ -234,11 +244,11 @@ def system(
     parts += [c.jets.packed for part in parts for c in dependents(part) if isinstance(c, Jet)]
     found = dict.fromkeys(c for part in parts for c in dependents(part))
     energetic = is_energy and virtual_work is None
-    mixed = is_mixed(u.function_space)
+    curvatures = {f.role.curvature for f in fields_of(u).values()}
     return System(
         u=u,
         supports=supports,
-        minimization=energetic and not mixed,
+        minimization=energetic and curvatures == {"+"},
         symmetric=energetic,
         energy_form=compiled(potential) if is_energy else None,
         residual_form=compiled(R),
@@ -284,7 +294,6 @@ def _check_parts(potential: Any, u: fem.Function) -> None:
 
 
 def displacement_degree(u: fem.Function) -> int:
-    """Degree of an unknown's displacement."""
-    V = u.function_space
-    element = V.sub(0).collapse()[0].ufl_element() if is_mixed(V) else V.ufl_element()
-    return max(1, element.embedded_superdegree)
+    """Degree of an unknown's displacement, or of its first field where it has none."""
+    field = displacement_field(u) or next(iter(fields_of(u).values()))
+    return field.degree

@@ -24,7 +24,7 @@ from .differentiation import update_dependents
 from .fields import quadrature_degrees
 from .loads import with_kinematics
 from .native import jit
-from .supports import is_mixed
+from .unknowns import displacement_field, is_mixed
 
 Array = NDArray[np.float64]
 
@@ -61,12 +61,14 @@ def resultant(
     facets = _checks.facets(V.mesh, facets)
     b = system.create_vector()
     system.residual(b)
-    view = V.sub(0) if is_mixed(V) else V
-    W, numbers = _dolfinx.collapse(view) if is_mixed(V) else (V, None)
+    field = system.displacement
+    if field is None:
+        raise ValueError(f"forces act on a displacement, and {system.u.name} has none.")
+    W, numbers = field.collapsed
     dim = W.mesh.geometry.dim
     nodes = _owned_nodes(W, facets)
     dofs = nodes[:, None] * dim + np.arange(dim)
-    parent = dofs if numbers is None else numbers[dofs]
+    parent = numbers[dofs]
     R, x = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 3))
     R[:, :dim] = b.array_r[parent]
     b.destroy()
@@ -115,10 +117,11 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
 
 
 def displacement_of(u: fem.Function) -> fem.Function:
-    """The displacement of an unknown: u itself, or a copy of the first part of a mixed one."""
-    if not is_mixed(_checks.function(u, "displacement_of").function_space):
+    """The displacement of an unknown: u itself, or a copy of that field of a mixed one."""
+    field = displacement_field(_checks.function(u, "displacement_of"))
+    if field is None or field.place is None:
         return u
-    f = u.sub(0).collapse()
+    f = u.sub(field.place).collapse()
     f.name = "displacement"
     return f
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unknowns, the load factor, and supports: displacements prescribed on named boundaries.
+"""Supports: displacements, or other fields, prescribed on named boundaries.
 
 A support's value may be any UFL expression of the reference point and of the load factor; it is
 evaluated anew at each load. ``facets`` are local facet indices, as ``body.facets("left")``.
@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
@@ -23,6 +22,7 @@ from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from ._types import Expr
 from .native import jit
+from .unknowns import Field, field_of
 
 Facets = NDArray[np.int32]
 
@@ -61,66 +61,14 @@ class Support:
             part.update()
 
 
-def load_factor(body: Any, value: float = 0.0) -> fem.Constant:
-    """Load factor t, a UFL constant that loads and supports are written with.
-
-    Args:
-        body: Mesh, or an object with a ``mesh``.
-        value: Value before the first load step.
-    """
-    return fem.Constant(_checks.mesh_of(body), default_scalar_type(value))
-
-
-def displacement(body: Any, degree: int = 1) -> fem.Function:
-    """Displacement unknown [m], continuous Lagrange of the given degree, one value per dimension.
-
-    Args:
-        body: Mesh, or an object with a ``mesh``.
-        degree: Polynomial degree, 1 or more, not below the order of the mesh: linear displacements
-            do not contain the rotations of curved cells.
-
-    Raises:
-        ValueError: degree below 1 or below the order of the mesh.
-    """
-    mesh = _checks.mesh_of(body)
-    k = _degree(degree, 1)
-    if k < _dolfinx.geometry_degree(mesh):
-        raise ValueError(
-            f"displacements of degree {k} cannot rotate a mesh of order "
-            f"{_dolfinx.geometry_degree(mesh)} rigidly: take degree "
-            f"{_dolfinx.geometry_degree(mesh)} or more, or a mesh of order {k}."
-        )
-    V = fem.functionspace(mesh, ("Lagrange", k, (mesh.geometry.dim,)))
-    return fem.Function(V, name="displacement")
-
-
-def displacement_pressure(body: Any, degree: int = 2) -> fem.Function:
-    """Mixed unknown w = (u, p): Taylor-Hood, displacement of the degree, pressure of one less.
-
-    Use ``u, p = ufl.split(w)`` in energies, w itself in supports and solves.
-
-    Args:
-        body: Mesh, or an object with a ``mesh``.
-        degree: Degree of the displacement, 2 or more (with 1 the pressure would oscillate).
-
-    Raises:
-        ValueError: degree below 2.
-    """
-    mesh = _checks.mesh_of(body)
-    k, cell = _degree(degree, 2), mesh.basix_cell()
-    U = basix.ufl.element("Lagrange", cell, k, shape=(mesh.geometry.dim,))
-    Q = basix.ufl.element("Lagrange", cell, k - 1)
-    return fem.Function(fem.functionspace(mesh, basix.ufl.mixed_element([U, Q])), name="w")
-
-
 def clamp(u: fem.Function, facets: Facets) -> Support:
     """No displacement on the facets. Collective; arguments as :func:`prescribe`."""
-    return prescribe(u, facets, [0.0] * _space_dimension(u))
+    return prescribe(u, facets, [0.0] * field_of(u, "a support")[1].components)
 
 
 def roller(u: fem.Function, facets: Facets, axis: int) -> Support:
     """No displacement along one coordinate axis (0, 1, 2), free otherwise. Collective."""
-    dim = _space_dimension(u)
+    dim = _moved(u)[1].components
     if axis not in range(dim):
         raise ValueError(f"a roller needs an axis from 0 to {dim - 1}, got {axis}.")
     return prescribe(u, facets, [0.0 if i == axis else None for i in range(dim)])
@@ -157,7 +105,8 @@ def rotate(
     Raises:
         ValueError: zero axis, wrong number of components, or no facets on any rank.
     """
-    dim, mesh = _space_dimension(u), u.function_space.mesh
+    w, field = _moved(u)
+    dim, mesh = field.components, w.function_space.mesh
     if _checks.number(angle) is None:
         _check_value(angle)
     k = np.asarray(axis, float)
@@ -168,7 +117,7 @@ def rotate(
     k = k / np.linalg.norm(k)
     c = np.zeros(3)
     if center is None:
-        c[:] = _middle(u, facets)
+        c[:] = _middle(mesh, facets)
     else:
         c[: len(center)] = center
     K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])[:dim, :dim]
@@ -179,14 +128,14 @@ def rotate(
     return prescribe(u, facets, [moved[i] + (0 if shift is None else shift[i]) for i in range(dim)])
 
 
-def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) -> Support:
-    """Prescribed displacement on facets, component by component. Collective.
+def prescribe(u: Any, facets: Facets, values: Sequence[Expr | None] | Expr) -> Support:
+    """Prescribed displacement on facets, component by component, or another field. Collective.
 
     Args:
-        u: Displacement unknown, or a mixed one whose first part it is.
+        u: Unknown, whose displacement is meant, or a field of it, as ``w["theta"]``.
         facets: Local facet indices (owned and ghost).
         values: One entry per component [m]: a number or a UFL expression of the reference point
-            and the load factor, or None for a free component.
+            and the load factor, or None for a free component; of a scalar field the value itself.
 
     Returns:
         Support for :func:`forms.solve` and :func:`forms.follow`. At nodes that two supports share
@@ -195,7 +144,10 @@ def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) ->
     Raises:
         ValueError: wrong number of values, nothing prescribed, or no facets on any rank.
     """
-    dim, V = _space_dimension(u), u.function_space
+    w, field = field_of(u, "a support")
+    dim, V = field.components, w.function_space
+    if dim == 1 and not isinstance(values, list | tuple | np.ndarray):
+        values = [values]
     if not isinstance(values, list | tuple | np.ndarray) or len(values) != dim:
         raise ValueError(f"a support needs {dim} values, one per component, got {values}.")
     for value in values:
@@ -204,7 +156,7 @@ def prescribe(u: fem.Function, facets: Facets, values: Sequence[Expr | None]) ->
     if all(value is None for value in values):
         raise ValueError("a support needs at least one value that is not None.")
     facets = _checks.facets(V.mesh, facets)
-    view = V.sub(0) if is_mixed(V) else V
+    view = field.view
     if all(value is not None for value in values):
         return Support(V, (_part(view, facets, list(values)),))
     return Support(
@@ -226,7 +178,8 @@ def pin(u: fem.Function, point: Sequence[float], axes: Sequence[int] | None = No
     Raises:
         ValueError: no node at the point, or axes that the body does not have.
     """
-    dim, V = _space_dimension(u), u.function_space
+    w, field = _moved(u)
+    dim, V = field.components, w.function_space
     x = np.zeros(3)
     if np.shape(point) not in ((dim,), (3,)) or not np.all(np.isfinite(point)):
         raise ValueError(f"pin needs a point of {dim} finite coordinates, got {point}.")
@@ -234,7 +187,7 @@ def pin(u: fem.Function, point: Sequence[float], axes: Sequence[int] | None = No
     axes = range(dim) if axes is None else axes
     if not len(axes) or any(axis not in range(dim) for axis in axes):
         raise ValueError(f"pin needs axes between 0 and {dim - 1}, got {list(axes)}.")
-    view = V.sub(0) if is_mixed(V) else V
+    view = field.view
     spaces = [view.sub(axis).collapse()[0] for axis in axes]
     nodes = spaces[0].tabulate_dof_coordinates()
     off = np.linalg.norm(nodes - x, axis=1)
@@ -270,11 +223,6 @@ def _check_value(value: Expr) -> None:
         )
 
 
-def is_mixed(V: fem.FunctionSpace) -> bool:
-    """Whether V is a product of spaces (and not merely blocked, as a vector space is)."""
-    return V.num_sub_spaces > 0 and V.dofmap.bs == 1
-
-
 def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescribed:
     """Boundary condition on a space, or on a view of one, with its value's own space."""
     whole = len(view.component()) == 0
@@ -299,9 +247,8 @@ def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescr
     return part
 
 
-def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
+def _middle(mesh: Any, facets: Facets) -> NDArray[np.float64]:
     """Middle of the bounding box of facets on all ranks; collective."""
-    mesh = u.function_space.mesh
     facets = _checks.facets(mesh, facets)
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
@@ -310,19 +257,17 @@ def _middle(u: fem.Function, facets: Facets) -> NDArray[np.float64]:
     return (low + high) / 2
 
 
-def _space_dimension(u: fem.Function) -> int:
-    V = _checks.function(u, "a support").function_space
-    dim = V.mesh.geometry.dim
-    components = V.sub(0).num_sub_spaces if is_mixed(V) else V.num_sub_spaces
-    if components != dim:
+def _moved(u: Any) -> tuple[fem.Function, Field]:
+    """An unknown and its displacement.
+
+    Raises:
+        ValueError: it has none, or a field that is none was given.
+    """
+    w, field = field_of(u, "a support")
+    dim = w.function_space.mesh.geometry.dim
+    if not field.is_displacement:
         raise ValueError(
-            f"a support needs a displacement of {dim} components (or a mixed unknown that starts "
-            f"with one), got {u.name} with {components or 1}."
+            f"this support needs a displacement of {dim} components, got {field.name} of {w.name} "
+            f"with {field.components}: use forms.prescribe for other fields."
         )
-    return dim
-
-
-def _degree(degree: int, least: int) -> int:
-    if not isinstance(degree, int) or degree < least:
-        raise ValueError(f"the degree must be a whole number of at least {least}, got {degree}.")
-    return degree
+    return w, field

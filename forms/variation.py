@@ -7,12 +7,15 @@ K[v, du] = d/dh R[v](u + h du). By hand: :mod:`forms.by_hand`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import ufl
 from dolfinx import fem
 
 from ._types import Expr
 from .differentiation import rate
 from .loads import with_kinematics
+from .unknowns import Field, field_of
 
 
 def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
@@ -32,15 +35,31 @@ def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
     return rate(form, u, du)
 
 
-def residual(potential: ufl.Form, u: fem.Function) -> ufl.Form:
+def residual(potential: ufl.Form, u: Any) -> ufl.Form:
     """Residual R[v] = D potential(u)[v], a linear form in a new test function v.
+
+    Args:
+        potential: Functional of the unknown.
+        u: Unknown, or a field of it, as ``w["u"]``: then v's other fields have no part in R, as
+            where the equations of those are virtual works of their own.
 
     Raises:
         ValueError: potential is no functional, or does not depend on u.
     """
-    _check(potential, u, 0, "residual needs a potential (a functional of u)")
+    w, field = field_of(u, "residual")
+    _check(potential, w, 0, "residual needs a potential (a functional of u)")
     (potential,) = with_kinematics(potential)
-    return derivative(potential, u, ufl.TestFunction(u.function_space))
+    v = ufl.TestFunction(w.function_space)
+    if u is not w:
+        v = _only(v, field)
+    return derivative(potential, w, v)
+
+
+def _only(v: Expr, field: Field) -> Expr:
+    """A test function of a mixed space with 0 for all fields but one."""
+    first = sum(max(1, field.space.sub(k).num_sub_spaces) for k in range(field.place or 0))
+    own = range(first, first + field.components)
+    return ufl.as_vector([v[k] if k in own else ufl.as_ufl(0) for k in range(len(v))])
 
 
 def tangent(R: ufl.Form, u: fem.Function) -> ufl.Form:

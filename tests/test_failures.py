@@ -462,7 +462,7 @@ def test_only_pressures_get_the_field_split(is_pressure, monkeypatch):
     """Above its size a displacement and a scalar: the split for a pressure, MUMPS for another."""
     monkeypatch.setattr(linear_presets, "SPLIT_FROM", {"tetrahedron": 0})
     mesh = unit_mesh(3, 2)
-    w = forms.displacement_pressure(mesh)
+    w = fem.Function(forms.displacement_pressure(mesh).function_space)  # no role is declared
     u, a = ufl.split(w)
     F = forms.deformation_gradient(u)
     psi = forms.energies.neo_hookean(F, 1.0, 0.0 if is_pressure else 2.0)
@@ -509,7 +509,7 @@ def fibered(power, n=2):
     body = meshes.block(MPI.COMM_WORLD, (1.0, 1.0, 1.0), n=(n, n, n))
     u, t = forms.displacement(body), forms.load_factor(body)
     F = forms.deformation_gradient(u)
-    I4, _ = forms.fiber_invariants(F, ufl.as_vector([1, 0, 0]))
+    I4, _ = forms.kinematics.fiber_invariants(F, ufl.as_vector([1, 0, 0]))
     psi = forms.energies.neo_hookean(F, 1.0, 10.0) + power(I4 - 1)
     sides = ("left", "front", "bottom")
     held = [forms.roller(u, body.facets(name), axis) for axis, name in enumerate(sides)]

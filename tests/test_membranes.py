@@ -56,7 +56,7 @@ def test_areas_volumes_and_sides(name, order):
     assert forms.integral(1 * ufl.dx(domain=body.mesh, degree=4)) == pytest.approx(
         area, rel=allowed
     )
-    side = forms.orientation(body)
+    side = forms.membranes.orientation(body)
     assert np.all(side.x.array == 1)
     found = forms.integral(forms.enclosed_volume(u, side, dx))
     assert found == pytest.approx(volume, rel=2 * allowed, abs=1e-14)
@@ -161,7 +161,7 @@ def test_pressure_is_the_derivative_of_the_volume(rng):
     u = forms.displacement(body, degree=2)
     u.x.array[:] = 0.02 * rng.normal(size=u.x.array.size)
     v = ufl.TestFunction(u.function_space)
-    work = forms.membrane_pressure(u, 0.7, v, dx=ufl.dx(degree=6))
+    work = forms.membranes.membrane_pressure(u, 0.7, v, dx=ufl.dx(degree=6))
     derived = forms.residual(-0.7 * forms.enclosed_volume(u, dx=ufl.dx(degree=6)), u)
     found, wanted = (forms.system(form, u).create_vector() for form in (work, derived))
     for b, form in ((found, work), (wanted, derived)):
@@ -198,7 +198,7 @@ def test_cells_that_are_numbered_the_other_way_are_found():
     """One cell of a square turned: its side is -1, and the volume under the sheet is right."""
     points = [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1), (0.5, 0.5, 1)]
     body = surface([(0, 1, 4), (2, 1, 4), (2, 3, 4), (3, 0, 4)], points)
-    side = forms.orientation(body)
+    side = forms.membranes.orientation(body)
     assert sorted(side.x.array) == [-1, 1, 1, 1]
     u = forms.displacement(body)
     assert forms.integral(forms.enclosed_volume(u, side)) == pytest.approx(1 / 3)
@@ -218,10 +218,10 @@ def test_surfaces_without_two_sides_are_refused():
         c, d = (2 * k + 2, 2 * k + 3) if k < n - 1 else (1, 0)
         cells += [(a, b, c), (b, d, c)]
     with pytest.raises(ValueError, match="the surface has one side only"):
-        forms.orientation(surface(cells, strip))
+        forms.membranes.orientation(surface(cells, strip))
     star = [(0, 0, 0), (0, 0, 1), (1, 0, 0), (0, 1, 0), (-1, -1, 0)]
     with pytest.raises(ValueError, match="3 cells meet at an edge"):
-        forms.orientation(surface([(0, 1, 2), (0, 1, 3), (0, 1, 4)], star))
+        forms.membranes.orientation(surface([(0, 1, 2), (0, 1, 3), (0, 1, 4)], star))
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_surfaces_without_two_sides_are_refused():
         (lambda u, F: energies.saint_venant_kirchhoff_sheet(F, 1.0, 0.5), "got nu = 0.5"),
         (lambda u, F: forms.membrane_gradient(u[0]), r"displacement of shape \(3,\), got \(\)"),
         (
-            lambda u, F: forms.membrane_pressure(u, u, u),
+            lambda u, F: forms.membranes.membrane_pressure(u, u, u),
             r"scalar p and a test function v of shape \(3,\), got shapes \(3,\) and \(3,\)",
         ),
         (lambda u, F: forms.deformation_gradient(u), "cells of dimension 2 in 3 dimensions"),

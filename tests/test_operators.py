@@ -92,7 +92,7 @@ def test_axisymmetric_and_isochoric_operands(rng):
     plain, operator = PAIRS["neo_hookean"]
     weight = forms.circumference(u)
     same(*(numbers(e(F, MU, LMBDA) * weight * ufl.dx, u) for e in (operator, plain)))
-    G = forms.isochoric(F)
+    G = forms.kinematics.isochoric(F)
     same(*(numbers(e(G, MU, LMBDA) * weight * ufl.dx, u) for e in (operator, plain)))
 
 
@@ -168,7 +168,7 @@ def test_mixed_unknown(rng):
     F = forms.deformation_gradient(u)
 
     def potential(e):
-        psi = e(forms.isochoric(F), MU, LMBDA)
+        psi = e(forms.kinematics.isochoric(F), MU, LMBDA)
         return energies.with_pressure(psi, F, p, 50.0) * ufl.dx
 
     plain, operator = PAIRS["neo_hookean"]

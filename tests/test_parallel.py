@@ -74,7 +74,7 @@ def solved(scene, tight):
         body = meshes.spherical_sheet(comm, 1.0, 0.4, 2, "octant")
         t, u = forms.load_factor(body), forms.displacement(body, degree=2)
         F = forms.membrane_gradient(u)
-        side = forms.orientation(body)
+        side = forms.membranes.orientation(body)
         psi = forms.energies.principal(lambda s1, s2: (s1**2 + s2**2 + (s1 * s2)**-2 - 3) / 2)(F)
         potential = psi * ufl.dx - 1.1 * t * forms.enclosed_volume(u, side)
         supports = [forms.roller(u, body.facets(f"{a}0"), k) for k, a in enumerate("xyz")]

@@ -184,7 +184,7 @@ def test_where_no_projection_is_possible_one_sentence_says_so():
     mixed = energies.with_pressure(energies.isochoric_neo_hookean(F, MU), F, p) * ufl.dx
     held = [forms.clamp(w, at_plane(body, 0, 0.0))]
     with pytest.raises(
-        ValueError, match="needs a potential of the displacement alone, got a mixed"
+        ValueError, match="needs a potential of fields that are minimized over, got a m"
     ):
         forms.solve(mixed, w, held, projection="always")
     u = forms.displacement(body)

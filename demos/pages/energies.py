@@ -11,7 +11,8 @@ from pathlib import Path
 import ufl
 
 from demos.benchmarks.record import markdown
-from variform.forms import energies, isochoric
+from variform.forms import energies
+from variform.forms.kinematics import isochoric
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FIGURES = ROOT / "demos" / "figures"

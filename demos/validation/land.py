@@ -28,7 +28,7 @@ TIGHT = {"rtol": 1e-13, "ctol": 1e-11}
 def passive(problem, F, fiber):
     """Guccione's muscle with the constants of problem 2 or 3, of the isochoric part of F."""
     C, bf, bt, bfs = {2: (10.0, 1.0, 1.0, 1.0), 3: (2.0, 8.0, 2.0, 4.0)}[problem]
-    return forms.energies.guccione(forms.isochoric(F), C, bf, bt, bfs, fiber)
+    return forms.energies.guccione(forms.kinematics.isochoric(F), C, bf, bt, bfs, fiber)
 
 
 def solid(problem, h=4.0, at_apex=None, comm=MPI.COMM_WORLD):
@@ -137,7 +137,7 @@ def _turning(body):
     for load in np.linspace(0, 1, 21)[1:]:
         t.value = load
         _newton(w, *compiled, free)
-    return w, ufl.sqrt(forms.fiber_invariants(F, fiber)[0])
+    return w, ufl.sqrt(forms.kinematics.fiber_invariants(F, fiber)[0])
 
 
 def _newton(w, residual, tangent, free):
@@ -168,7 +168,7 @@ def run(problem, folder, comm=MPI.COMM_WORLD):
     numbers = dict(zip(APEX, path.record("apex")[-1], strict=True))
     rest = forms.integral(fem.Constant(path.u.function_space.mesh, 1.0) * ufl.dx)
     numbers["volume over that at rest"] = forms.volume(F, ufl.dx(degree=6)) / rest
-    stretch = ufl.sqrt(forms.fiber_invariants(F, fiber)[0])
+    stretch = ufl.sqrt(forms.kinematics.fiber_invariants(F, fiber)[0])
     label = "stretch along\nthe fibers [-]"
     forms.picture(path, folder / f"land{problem}_solid.png", stretch, label, view=(0.5, -1, 0.25))
     u, stretch = revolved(problem, *SECTIONS[problem])

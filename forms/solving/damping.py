@@ -21,7 +21,8 @@ EASED, STIFFENED = 5.0, 100.0
 class Damping:
     """Levenberg-Marquardt: s L is added to the tangent, L the stiffness of a uniform tension.
 
-    L = c int grad v : grad du dx,  c such that typical entries of L and of the tangent are equal
+    L = c int grad v : grad du dx,  c such that typical entries of L and of the tangent are equal,
+    field by field
 
     Where the tangent has no stiffness at all, as a flat sheet across its plane, the step is that
     of a prestretched sheet, which is smooth on every mesh. s falls by EASED after each full step
@@ -46,6 +47,7 @@ class Damping:
         diagonal = self.L.getDiagonal()
         diagonal.array[system.constrained] = 0
         self.L.setDiagonal(diagonal)
+        self._balance(system)
         # A potential on a part of the mesh only has fewer entries than L.
         same = _entries(A) == _entries(self.L)
         kinds = PETSc.Mat.Structure
@@ -54,6 +56,20 @@ class Damping:
         stiffness = typical_diagonal(A, free) or otherwise
         self.scale = stiffness / own if own else 0.0
         self.strength = FIRST
+
+    def _balance(self, system: System) -> None:
+        """Scale the other fields' stiffness like the first one's, as the tangent is scaled."""
+        fields = list(system.fields.values())
+        if len(fields) == 1:
+            return
+        scale = self.L.createVecRight()
+        scale.set(1.0)
+        free = [np.setdiff1d(field.dofs, system.constrained) for field in fields]
+        typical = [typical_diagonal(self.L, rows) for rows in free]
+        for rows, own in zip(free[1:], typical[1:], strict=True):
+            scale.array[rows] = np.sqrt(typical[0] / own) if own > 0 else 1.0
+        self.L.diagonalScale(scale, scale)
+        scale.destroy()
 
     def restart(self) -> None:
         """Return to the first strength."""

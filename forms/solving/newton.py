@@ -147,8 +147,8 @@ class Newton:
             self._full = self._create(self.snes.getKSP())
             self._options["snes_linesearch_type"] = base["snes_linesearch_type"]
         self.snes.getKSP().setPostSolve(self._hold)
-        ksp, presets = self.snes.getKSP(), preset if own else {}
-        self._kept = Kept(self.system, ksp, presets, self._options.prefix, self._user)
+        ksp, chosen = self.snes.getKSP(), preset if own else {}
+        self._kept = Kept(self.system, ksp, chosen, self._options.prefix, self._user)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
         snes = PETSc.SNES().create(self.system.comm)
@@ -179,7 +179,7 @@ class Newton:
         if self._kept.slow:
             self._leave_multigrid()
         self.scaled.get(self.x)
-        system.prescribe(self.x)
+        self.scaled.prescribe(self.x)
         self.scaled.put(self.x)
         if system.has_energy and not np.isfinite(system.energy()):
             self._imbalance = None
@@ -330,7 +330,7 @@ class Newton:
         self.measure_imbalance()
         self.scaled.get(self.x)
         jump = self.x.copy()
-        system.prescribe(jump)
+        self.scaled.prescribe(jump)
         jump.axpy(-1, self.x)
         # A start may miss the supports by rounding: no reason for a step at the whole load.
         if jump.norm(PETSc.NormType.INFINITY) <= 1e3 * EPS * self.scaled.size:
@@ -344,7 +344,7 @@ class Newton:
         start = self.x.copy()
         self._carry(self.b, assembled)
         for x in (self.x, start):  # without the carried step where that leaves no finite energy
-            system.prescribe(x)
+            self.scaled.prescribe(x)
             self.scaled.put(x)
             if not system.has_energy or np.isfinite(system.energy()):
                 break
@@ -590,9 +590,7 @@ class Newton:
             return -4
         first, x = iteration == 0 and not self._resumed, snes.getSolution()
         if iteration:
-            change = np.abs(x.array_r - self._x_before.array_r)[self.scaled.displacements]
-            largest = float(change.max(initial=0.0))
-            self._correction = self.system.comm.allreduce(largest, MPI.MAX)
+            self._correction = self.scaled.correction(x, self._x_before)
             if self._energetic and self._damping is not None:
                 self._x_before.axpy(-1, x)
                 step = snes.getSolutionUpdate().norm()

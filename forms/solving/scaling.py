@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A system in one unit: pressures of mixed unknowns scaled, so that every equation is a force."""
+"""A system in one unit: fields of mixed unknowns scaled, so that every equation is a force."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _dolfinx
 from .._parallel import bounding_box
 from ..assembly import System
-from ..supports import is_mixed
-from .linear.diagonal import typical_diagonal
+from ..unknowns import Field
+from .linear.diagonal import has_positive, typical_diagonal
 
 EPS = float(np.finfo(float).eps)
 
@@ -21,9 +20,10 @@ EPS = float(np.finfo(float).eps)
 class Scaled:
     """Residual and tangent of a system in y, where u = D y: D R and D K D.
 
-    D is 1 for displacements and s = typical K_ii / h^(d - 1) [Pa] for pressures, h a typical cell's
-    size: all entries of the residual are then forces [N] and those of the tangent stiffnesses, in
-    any units.
+    D is 1 for displacements and s = typical K_ii / h^(d - 1) [Pa] for pressures and multipliers, h
+    a typical cell's size; of a field that is minimized over it makes the typical entry of its own
+    block that of the displacements: all entries of the residual are then forces [N] and those of
+    the tangent stiffnesses, in any units.
 
     Args:
         system: What is scaled.
@@ -33,7 +33,7 @@ class Scaled:
         size: Diagonal of the mesh's bounding box [m].
         displacements: Owned local numbers of displacement components.
         free: Those of them that are not supported.
-        others: Owned local numbers of pressures.
+        others: Owned local numbers of all other fields.
         rounding: Error of the forces [N], eps * typical K_ii * size * sqrt(n); 0 until measured.
             It is the body's; :meth:`floor` adds that of stiff springs.
     """
@@ -42,14 +42,17 @@ class Scaled:
         self.system, self.A = system, A
         low, high = bounding_box(system.comm, system.u.function_space.mesh.geometry.x)
         self.size = float(np.linalg.norm(high - low))
-        self.displacements = _displacement_dofs(system)
+        moves = system.displacement or next(iter(system.fields.values()))
+        self.displacements = moves.dofs
         self.others = np.setdiff1d(np.arange(A.getLocalSize()[0]), self.displacements)
+        self._beside = [field for field in system.fields.values() if field is not moves]
         self.free = np.setdiff1d(self.displacements, system.constrained)
         self.D = system.create_vector()
         self.D.set(1)
-        self.mixed = is_mixed(system.u.function_space)
+        self.mixed = bool(self._beside)
         self.rounding = 0.0
         self._stiffness = np.empty(0)
+        self._minimized: list[NDArray[np.int32]] = []
 
     def measure(self) -> None:
         """Find the forces' rounding error, and the scale of a pressure, at u. Collective."""
@@ -59,11 +62,38 @@ class Scaled:
         self.rounding = EPS * diagonal * self.size * np.sqrt(system.size)
         self._stiffness = np.abs(self.A.getDiagonal().array_r[self.free])
         mesh = system.u.function_space.mesh
-        if self.mixed and diagonal > 0:
+        if diagonal > 0:
             dim = mesh.topology.dim
-            cells = mesh.topology.index_map(dim).size_global
-            h = self.size / cells ** (1 / dim)
-            self.D.array[self.others] = diagonal / h ** (dim - 1)
+            h = self.size / mesh.topology.index_map(dim).size_global ** (1 / dim)
+            self._minimized = [f.dofs for f in self._beside if self._is_minimized_over(f)]
+            for field in self._beside:
+                scale = diagonal / h ** (dim - 1)
+                if self._is_minimized_over(field):
+                    own = typical_diagonal(self.A, np.setdiff1d(field.dofs, system.constrained))
+                    scale = np.sqrt(diagonal / own) if own > 0 else 1.0
+                self.D.array[field.dofs] = scale
+
+    def _is_minimized_over(self, field: Field) -> bool:
+        """Whether a field has stiffness of its own; collective where its role does not say."""
+        if field.role.curvature == "?":
+            return has_positive(self.A, np.setdiff1d(field.dofs, self.system.constrained))
+        return field.role.curvature == "+"
+
+    def correction(self, x: PETSc.Vec, before: PETSc.Vec) -> float:
+        """Largest change of a displacement [m] from one scaled state to another. Collective.
+
+        Of other fields that are minimized over the change relative to the field's largest value
+        counts, times the body's size, or the change itself, as the smaller one may be.
+        """
+        change = np.abs(x.array_r - before.array_r)
+        largest = float(change[self.displacements].max(initial=0.0))
+        largest = self.system.comm.allreduce(largest, MPI.MAX)
+        for dofs in self._minimized:
+            values = np.abs(x.array_r[dofs]).max(initial=0.0), change[dofs].max(initial=0.0)
+            level, moved = (self.system.comm.allreduce(float(v), MPI.MAX) for v in values)
+            relative = moved / level * self.size if level > 0 else np.inf
+            largest = max(largest, min(moved, relative))
+        return float(largest)
 
     def floor(self) -> float:
         """Error of the forces [N] at u: that of the body, or eps |K_ii u_i|, if it is larger.
@@ -102,6 +132,12 @@ class Scaled:
         diagonal.destroy()
         return bool(self.system.comm.allreduce(finite, MPI.LAND))
 
+    def prescribe(self, y: PETSc.Vec) -> None:
+        """Put the prescribed values, scaled, into a state; local."""
+        held = self.system.constrained
+        self.system.prescribe(y)
+        y.array[held] = y.array_r[held] / self.D.array_r[held]
+
     def put(self, y: PETSc.Vec) -> None:
         """Copy D y into the unknown, ghosts included."""
         target = self.system.u.x.petsc_vec
@@ -115,12 +151,3 @@ class Scaled:
     def destroy(self) -> None:
         """Free the scale."""
         self.D.destroy()
-
-
-def _displacement_dofs(system: System) -> NDArray[np.int32]:
-    V = system.u.function_space
-    owned = V.dofmap.index_map.size_local * V.dofmap.bs
-    if not is_mixed(V):
-        return np.arange(owned, dtype=np.int32)
-    numbers = _dolfinx.collapse(V.sub(0))[1]
-    return numbers[numbers < owned]

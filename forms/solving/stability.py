@@ -15,7 +15,6 @@ import numpy as np
 from dolfinx import fem
 
 from ..assembly import System
-from ..supports import is_mixed
 from .finite import ADVICE, not_finite
 from .linear.diagonal import pressures, typical_diagonal
 
@@ -75,7 +74,7 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
     """
     system = getattr(system, "system", system)
     _check_symmetric(system)
-    if is_mixed(system.u.function_space):
+    if len(system.fields) > 1:
         raise ValueError("lowest_modes needs a displacement unknown, got a mixed one.")
     if not n >= 1:
         raise ValueError(f"lowest_modes needs n >= 1 modes, got {n}.")

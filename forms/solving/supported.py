@@ -6,11 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _dolfinx
 from .._parallel import bounding_box
 from ..assembly import System
 from ..paths import NotConverged, Path
-from ..supports import is_mixed
 
 Array = NDArray[np.float64]
 HELD = 1e-8  # share of a held motion below which it counts as free
@@ -29,18 +27,17 @@ def free_motions(system: System) -> list[str]:
         Entries as "translation along x" and "rotation about the axis along z through (0, 0, 0)";
         empty where the body is held.
     """
-    V = system.u.function_space
-    view = V.sub(0) if is_mixed(V) else V
-    W, numbers = _dolfinx.collapse(view) if is_mixed(V) else (V, None)
-    dim = W.mesh.geometry.dim
-    if W.num_sub_spaces != dim:
+    field = system.displacement
+    if field is None:
         return []
+    W, numbers = field.collapsed
+    dim = W.mesh.geometry.dim
     low, high = bounding_box(system.comm, W.mesh.geometry.x)
     center, size = (low + high) / 2, float(np.linalg.norm(high - low))
     owned = W.dofmap.index_map.size_local
     x = np.asarray((W.tabulate_dof_coordinates()[:owned] - center) / size, np.float64)
     modes = _modes(x, dim)
-    dofs = np.arange(owned * dim) if numbers is None else numbers[: owned * dim]
+    dofs = numbers[: owned * dim]
     held = np.isin(dofs, system.constrained)
     resisted = system.comm.allreduce(modes[held].T @ modes[held])
     values, vectors = np.linalg.eigh(resisted)

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from ... import _dolfinx
 from ...assembly import System
-from ...supports import is_mixed
 
 
 def typical_diagonal(A: PETSc.Mat, free: np.ndarray) -> float:
@@ -24,22 +23,27 @@ def typical_diagonal(A: PETSc.Mat, free: np.ndarray) -> float:
 
 
 def pressures(system: System, A: PETSc.Mat) -> int:
-    """Degrees of freedom of fields beside the displacement that are no minimum of the potential.
+    """Degrees of freedom of pressures and other multipliers, that are not supported. Collective.
 
-    Of pressures and other multipliers: their block -C of the tangent has no positive entry on its
-    diagonal, and each of them makes one eigenvalue negative. Collective.
+    By the roles of the fields; of one without a declared role the block -C of the tangent has no
+    positive entry on its diagonal. Each of them makes one eigenvalue negative.
 
     Args:
         system: System of one field or several.
         A: Its assembled tangent, scaled or not.
     """
-    V = system.u.function_space
-    if not is_mixed(V):
-        return 0
-    diagonal, total = A.getDiagonal().array_r, 0
-    for field in range(1, V.num_sub_spaces):
-        numbers = _dolfinx.collapse(V.sub(field))[1]
-        own = np.setdiff1d(numbers[numbers < len(diagonal)], system.constrained)
-        positive, count = system.comm.allreduce(np.array([(diagonal[own] > 0).sum(), len(own)]))
-        total += 0 if positive else int(count)
+    total = 0
+    for field in system.fields.values():
+        if field.role.curvature == "+":
+            continue
+        own = np.setdiff1d(field.dofs, system.constrained)
+        if field.role.curvature == "?" and has_positive(A, own):
+            continue
+        total += int(system.comm.allreduce(len(own)))
     return total
+
+
+def has_positive(A: PETSc.Mat, rows: np.ndarray) -> bool:
+    """Whether a diagonal entry of some rows, by local numbers, is positive on any rank."""
+    found = bool(np.any(A.getDiagonal().array_r[rows] > 0))
+    return bool(A.comm.tompi4py().allreduce(found, MPI.LOR))

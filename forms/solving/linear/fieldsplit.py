@@ -11,7 +11,6 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from ... import _dolfinx
 from ...assembly import System
 from ...compilation import compiled
 from .order import OrderMultigrid
@@ -43,8 +42,10 @@ class FieldSplit:
     def __init__(self, system: System, ksp: PETSc.KSP, prefix: str) -> None:
         W = system.u.function_space
         self._comm, self._prefix = W.mesh.comm, prefix
-        self._V, numbers = _dolfinx.collapse(W.sub(0))
-        self._Q, pressures = _dolfinx.collapse(W.sub(1))
+        moves = system.displacement
+        assert moves is not None
+        (other,) = (f for f in system.fields.values() if f is not moves)
+        (self._V, numbers), (self._Q, pressures) = moves.collapsed, other.collapsed
         owned = self._V.dofmap.index_map.size_local * self._V.dofmap.bs
         # Index sets have to be sorted, and the numbers in collapsed spaces are others.
         self._order = np.argsort(numbers[:owned])

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from dolfinx import fem
-
 from ...assembly import System, displacement_degree
-from ...supports import is_mixed
+from ...unknowns import Role
 from .diagonal import pressures
 
 # Measured with OpenBLAS: in 3D multigrid is faster from 2,000 degrees of freedom on, but a
@@ -86,15 +84,15 @@ def preset(system: System, A: PETSc.Mat) -> dict[str, str]:
     if system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
         return multigrid(degree)
     most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
-    if system.symmetric and system.size > most and degree == 2 and _has_one_scalar(V):
-        system.tangent(A)
+    if system.symmetric and system.size > most and degree == 2 and _has_one_scalar(system):
+        if any(field.role is Role.UNDECLARED for field in system.fields.values()):
+            system.tangent(A)
         if pressures(system, A):
             return field_split()
     return direct(system.symmetric)
 
 
-def _has_one_scalar(W: fem.FunctionSpace) -> bool:
-    """Whether a space is that of a displacement and one scalar."""
-    if not is_mixed(W) or W.num_sub_spaces != 2:
-        return False
-    return W.sub(0).num_sub_spaces == W.mesh.geometry.dim and W.sub(1).num_sub_spaces == 0
+def _has_one_scalar(system: System) -> bool:
+    """Whether the unknown is a displacement and one scalar."""
+    others = [f for f in system.fields.values() if not f.is_displacement]
+    return system.displacement is not None and [f.components for f in others] == [1]
