@@ -81,11 +81,11 @@ say("  n" + "".join(f"{e:>7} unknowns  u_y [mm]" for e in elements))
 for n in ns:
     for e in elements:
         path, corner = solve(n, e)
-        unknowns[e].append(path.system.size)
+        unknowns[e].append(path.problem.size)
         rise[e].append(corner)
     say(f"{n:3}" + "".join(f"{unknowns[e][-1]:16} {rise[e][-1]:9.4f}" for e in elements))
 path, corner = solve(64, "P2-P1")
-say(f" 64{path.system.size:66} {corner:9.4f}")
+say(f" 64{path.problem.size:66} {corner:9.4f}")
 
 # %% [markdown]
 # On the last panel p is the mean stress, positive in tension. It is singular in the upper left

@@ -102,7 +102,7 @@ forms.picture(path, folder / "import_cad.png", von_mises, "von Mises\nstress [MP
 # hole has moved, so the lever is that of the deformed body). And no volume was lost on the way in.
 
 # %%
-force, moment = forms.resultant(path.system, body.facets(back))
+force, moment = forms.resultant(path.problem, body.facets(back))
 lever = [forms.integral(ufl.cross(X + u, traction)[i] * dA) for i in range(3)]
 say(f"the wall bears {force[2]:.6f} N and {moment[1] / 1000:.6f} N m")
 assert np.abs(force - (0, 0, 60)).max() < 1e-6 * 60

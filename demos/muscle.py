@@ -97,7 +97,7 @@ say(path.reason)
 # bar that is kept straight while its fibers pull.
 
 # %%
-ring = path.system.energy()
+ring = path.problem.energy()
 straight = forms.integral(
     (mu * (1 / (1 - k * z) - 1) ** 2 + lmbda / 2 * (1 / (1 - k * z) - 1) ** 2) * ufl.dx(degree=8)
 )

@@ -73,7 +73,7 @@ def row(model, *size, runs=3):
     """Path, and number of cells, height of the apex [mm], CPU time [s], whether it converged."""
     body, w, u, potential = model(*size)
     held = [forms.roller(w, body.facets(f"{axis}0"), "xy".index(axis)) for axis in "xy"]
-    system = forms.system(potential, w, [*held, forms.clamp(w, body.facets("outer"))])
+    system = forms.Problem(potential, w, [*held, forms.clamp(w, body.facets("outer"))])
     seconds, cells = [], body.mesh.topology.index_map(body.mesh.topology.dim).size_global
     for _ in range(runs):
         w.x.array[:] = 0

@@ -59,7 +59,7 @@ def twisted(h):
 # %%
 def errors(body, path):
     """Errors of moment and force, and of the displacement in the mean over the body."""
-    force, moment = forms.resultant(path.system, body.facets("top"))
+    force, moment = forms.resultant(path.problem, body.facets("top"))
     u, _ = ufl.split(path.u)
     X, Y, Z = ufl.SpatialCoordinate(body.mesh)
     c, s = ufl.cos(Z), ufl.sin(Z)

@@ -5,7 +5,6 @@ if __name__ == "forms":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
 from . import _together, by_hand, energies, kinematics, membranes, operators, stress
-from .assembly import system
 from .compilation import compiled
 from .condensation import plane_stress
 from .fields import field
@@ -22,6 +21,7 @@ from .kinematics import (
 from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
 from .membranes import enclosed_volume, membrane_gradient
 from .paths import NotConverged, Path
+from .problems import Problem
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
 from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
 from .supports import (
@@ -77,7 +77,7 @@ __all__ = [  # in the order a user meets them
     "tangent",
     "by_hand",
     "compiled",
-    "system",
+    "Problem",
     "solve",
     "follow",
     "Checkpoint",
@@ -132,12 +132,13 @@ _MOVED = {
     "SingularValueEnergy": "operators",
     "Step": "paths",
     "Support": "supports",
-    "System": "assembly",
 }
 
 
 def __getattr__(name: str) -> object:
     """Say where a name of earlier versions is now."""
+    if name in ("System", "system"):
+        raise AttributeError(f"forms.{name} is now forms.Problem.")
     if name in _MOVED:
         raise AttributeError(f"forms.{name} is now forms.{_MOVED[name]}.{name}.")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}.")

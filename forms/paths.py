@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 
-from .assembly import System
+from .problems import Problem
 
 USUAL = {"full tangent", "|R|"}
 
@@ -101,7 +101,7 @@ class Path:
 
     Attributes:
         u: Unknown, holding the last converged state.
-        system: Compiled system, for reactions and further solves.
+        problem: What was solved, for reactions and further solves.
         steps: Converged load steps in order.
         refused: Load steps that were tried and halved.
         reason: One sentence on why the path ended.
@@ -112,7 +112,7 @@ class Path:
     """
 
     u: fem.Function
-    system: System
+    problem: Problem
     steps: list[Step] = field(default_factory=list)
     refused: int = 0
     reason: str = ""
@@ -140,7 +140,7 @@ class Path:
         )
 
 
-def recorded(record: Mapping[str, Callable] | None, problem: System) -> dict[str, Any]:
+def recorded(record: Mapping[str, Callable] | None, problem: Problem) -> dict[str, Any]:
     """Quantities to be kept with a step. Collective."""
     return {name: function(problem) for name, function in (record or {}).items()}
 
@@ -150,7 +150,8 @@ def check_record(record: Mapping[str, Any] | None) -> None:
     for name, function in (record or {}).items():
         if not callable(function):
             raise ValueError(
-                f"record needs functions of the system, got {type(function).__name__} for {name!r}."
+                f"record needs functions of the problem, got {type(function).__name__} for "
+                f"{name!r}."
             )
 
 

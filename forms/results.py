@@ -18,19 +18,19 @@ from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from ._types import Expr
-from .assembly import System
 from .compilation import compiled as compile_form
 from .differentiation import update_dependents
 from .fields import quadrature_degrees
 from .loads import with_kinematics
 from .native import jit
+from .problems import Problem
 from .unknowns import displacement_field, is_mixed
 
 Array = NDArray[np.float64]
 
 
 def resultant(
-    system: System | Any, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
+    problem: Problem | Any, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
 ) -> tuple[Array, Array]:
     """Force and moment that a support exerts on the body through a boundary.
 
@@ -41,7 +41,7 @@ def resultant(
     two supports counts for both.
 
     Args:
-        system: Path, or its system, at a converged state.
+        problem: Path, or its problem, at a converged state.
         facets: Local facet indices of the boundary.
         about: Point c that the moment is taken about [m].
 
@@ -52,18 +52,18 @@ def resultant(
     Raises:
         ValueError: no facets on any rank, or a point of another dimension.
     """
-    system = getattr(system, "system", system)
-    V = system.u.function_space
+    problem = getattr(problem, "problem", problem)
+    V = problem.u.function_space
     if np.shape(about) not in ((V.mesh.geometry.dim,), (3,)):
         raise ValueError(f"about is a point of {V.mesh.geometry.dim} coordinates, got {about}.")
     center = np.zeros(3)
     center[: len(about)] = about
     facets = _checks.facets(V.mesh, facets)
-    b = system.create_vector()
-    system.residual(b)
-    field = system.displacement
+    b = problem.create_vector()
+    problem.residual(b)
+    field = problem.displacement
     if field is None:
-        raise ValueError(f"forces act on a displacement, and {system.u.name} has none.")
+        raise ValueError(f"forces act on a displacement, and {problem.u.name} has none.")
     W, numbers = field.collapsed
     dim = W.mesh.geometry.dim
     nodes = _owned_nodes(W, facets)
@@ -73,10 +73,10 @@ def resultant(
     R[:, :dim] = b.array_r[parent]
     b.destroy()
     x[:] = W.tabulate_dof_coordinates()[nodes]
-    x[:, :dim] += system.u.x.array[parent]
+    x[:, :dim] += problem.u.x.array[parent]
     x -= center
     local = np.concatenate([R.sum(axis=0), np.cross(x, R).sum(axis=0)])
-    total = system.comm.allreduce(local)
+    total = problem.comm.allreduce(local)
     return total[:3], total[3:]
 
 

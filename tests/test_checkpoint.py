@@ -517,7 +517,7 @@ def follow(scene, folder, stop, rtol):
                         checkpoint=forms.Checkpoint(folder),
                         record={"load": lambda s: float(t.value)}, rtol=rtol, progress=False)
     moved = forms.displacement_of(u)
-    force, moment = forms.resultant(path.system, held)
+    force, moment = forms.resultant(path.problem, held)
     numbers = {
         "displacement": [forms.at(moved, point).tolist() for point in points],
         "force": force.tolist(), "moment": moment.tolist(),

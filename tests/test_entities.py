@@ -44,7 +44,7 @@ jump = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(u)))
 
 
 def numbers(potential):
-    system = forms.system(potential, u)
+    system = forms.Problem(potential, u)
     A, b = system.create_matrix(), system.create_vector()
     system.tangent(A)
     system.residual(b)
@@ -90,7 +90,7 @@ u = forms.displacement(body)
 psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
 dx = ufl.Measure("dx", body, subdomain_data=[(1, cells.astype(np.int32))])
 try:
-    forms.system(psi * dx(1), u)
+    forms.Problem(psi * dx(1), u)
 except ValueError as error:
     print("refused:", error)
 """
@@ -133,7 +133,7 @@ def test_a_form_on_other_cells_is_refused():
 
     def tangent_on(cells):
         dx = ufl.Measure("dx", body, subdomain_data=[(1, np.array(cells, np.int32))])
-        return forms.system(psi * dx(1), u)
+        return forms.Problem(psi * dx(1), u)
 
     system, other = tangent_on([0, 1, 2]), tangent_on([0, 1, 2, 3, 7])
     A = system.create_matrix()

@@ -110,7 +110,7 @@ def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
     else:
         work = forms.residual(load, u)
     seen = []
-    System = forms.assembly.System
+    System = forms.Problem
     energy = System.energy
     monkeypatch.setattr(System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
     forms.solve(potential, u, supports, virtual_work=work)
@@ -370,18 +370,18 @@ def test_rigid_motions_that_nothing_holds_are_named(case, mixed):
     psi = forms.energies.neo_hookean(F, 1.0, 0.0 if mixed else 2.0)
     psi = forms.energies.with_pressure(psi, F, p) if mixed else psi
     held = [forms.roller(u, at_plane(mesh, axis, 0.0), axis) for _, axis in rollers]
-    found = free_motions(forms.system(psi * ufl.dx, u, held))
+    found = free_motions(forms.Problem(psi * ufl.dx, u, held))
     assert [words for words in found if "translation" in words] == translations
     assert sum("rotation" in words for words in found) == rotations
     spring = forms.spring(v, 1e-3, ufl.ds(mesh))
-    assert free_motions(forms.system(psi * ufl.dx + spring, u, held)) == []
+    assert free_motions(forms.Problem(psi * ufl.dx + spring, u, held)) == []
 
 
 def test_a_plane_body_on_a_pin_turns_about_it():
     mesh = unit_mesh(2, 2)
     u = forms.displacement(mesh)
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
-    system = forms.system(psi * ufl.dx, u, [forms.pin(u, (1, 0))])
+    system = forms.Problem(psi * ufl.dx, u, [forms.pin(u, (1, 0))])
     assert free_motions(system) == ["rotation about the axis along z through (1, 0, 0)"]
 
 
@@ -468,7 +468,7 @@ def test_only_pressures_get_the_field_split(is_pressure, monkeypatch):
     psi = forms.energies.neo_hookean(F, 1.0, 0.0 if is_pressure else 2.0)
     psi = forms.energies.with_pressure(psi, F, a) if is_pressure else psi + a**2 / 2
     held = [forms.clamp(w, at_plane(mesh, 0, 0.0))]
-    newton = forms.solving.Newton(forms.system(psi * ufl.dx, w, held))
+    newton = forms.solving.Newton(forms.Problem(psi * ufl.dx, w, held))
     kind = newton.snes.getKSP().getPC().getType()
     newton.destroy()
     assert kind == ("python" if is_pressure else "cholesky")
@@ -578,7 +578,7 @@ def test_a_second_derivative_that_is_infinite_is_named(call):
             load = forms.dead_traction(u, ufl.as_vector([t, 0, 0]), body.ds("right"))
             forms.arc_length(potential + load, u, held[:3], t, step=0.1, progress=False)
         else:
-            forms.negative_eigenvalues(forms.system(potential, u, held))
+            forms.negative_eigenvalues(forms.Problem(potential, u, held))
     assert "Write the energy so that its second derivative exists there" in str(failed.value)
     assert "in steps" not in str(failed.value)
     assert np.all(u.x.array == 0)

@@ -86,7 +86,7 @@ found = {}
 
 
 def compare(name, u, potential, held):
-    system = forms.system(potential, u, held)
+    system = forms.Problem(potential, u, held)
     V = u.function_space
     is_mixed = V.num_sub_spaces and V.dofmap.bs == 1
     displacement = V.sub(0).collapse()[0] if is_mixed else V
@@ -99,7 +99,7 @@ def compare(name, u, potential, held):
     for way, projected in ways.items():
         system.tangent(A, projected)
         system.tangent(A, projected)  # places hold, nothing is left of the first
-        form = system.projected_form if projected else system.tangent_form
+        form = system.forms.projected_form if projected else system.forms.tangent_form
         B = fem_petsc.create_matrix(form)
         fem_petsc.assemble_matrix(B, form, system.conditions)
         B.assemble()
@@ -151,19 +151,19 @@ def system():
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2))
     u = forms.displacement(body, 1)
     psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
-    return forms.system(psi * ufl.dx, u, [forms.clamp(u, body.facets("left"))])
+    return forms.Problem(psi * ufl.dx, u, [forms.clamp(u, body.facets("left"))])
 
 
 def assembled(system):
-    B = fem_petsc.create_matrix(system.tangent_form)
-    fem_petsc.assemble_matrix(B, system.tangent_form, system.conditions)
+    B = fem_petsc.create_matrix(system.forms.tangent_form)
+    fem_petsc.assemble_matrix(B, system.forms.tangent_form, system.conditions)
     B.assemble()
     return B
 
 
 def test_foreign_matrix_is_assembled_the_usual_way(system):
     """A matrix that was made elsewhere has no places, and gets the same numbers."""
-    A = fem_petsc.create_matrix(system.tangent_form)
+    A = fem_petsc.create_matrix(system.forms.tangent_form)
     for _ in range(2):
         system.tangent(A)
         A.axpy(-1, assembled(system))
@@ -190,7 +190,7 @@ def test_interior_facets_are_assembled_the_usual_way():
     u = forms.displacement(body, 1)
     psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
     jump = ufl.jump(ufl.grad(u))
-    system = forms.system(psi * ufl.dx + ufl.inner(jump, jump) * ufl.dS, u)
+    system = forms.Problem(psi * ufl.dx + ufl.inner(jump, jump) * ufl.dS, u)
     A = system.create_matrix()
     assert A.getAttr("variform_insertion") is None
     system.tangent(A)

@@ -126,7 +126,7 @@ def test_the_ways_to_write_a_sheet_agree(rng):
         SHEET_ENERGIES["principal"](F),
     ]
     assert forms.integral((ufl.det(solid) - 1) ** 2 * ufl.dx(degree=4)) < 1e-28
-    systems = [forms.system(psi * ufl.dx, u) for psi in ways]
+    systems = [forms.Problem(psi * ufl.dx, u) for psi in ways]
     found = []
     for system in systems:
         b, A = system.create_vector(), system.create_matrix()
@@ -163,9 +163,9 @@ def test_pressure_is_the_derivative_of_the_volume(rng):
     v = ufl.TestFunction(u.function_space)
     work = forms.membranes.membrane_pressure(u, 0.7, v, dx=ufl.dx(degree=6))
     derived = forms.residual(-0.7 * forms.enclosed_volume(u, dx=ufl.dx(degree=6)), u)
-    found, wanted = (forms.system(form, u).create_vector() for form in (work, derived))
+    found, wanted = (forms.Problem(form, u).create_vector() for form in (work, derived))
     for b, form in ((found, work), (wanted, derived)):
-        forms.system(form, u).residual(b)
+        forms.Problem(form, u).residual(b)
     agree(found.array, wanted.array, 13)
 
 

@@ -54,7 +54,7 @@ def bent(cells, n, kappa, mu=1.0, length=1.0, contrast=1.0):
 
 def iterations(w, potential, held):
     "Of one tangent solve, for forces that vary from node to node."
-    system = forms.system(potential, w, held)
+    system = forms.Problem(potential, w, held)
     newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
     newton.scaled.measure()
     newton._assemble_tangent()
@@ -184,7 +184,7 @@ def test_the_field_split_is_for_large_symmetric_bodies_in_space(monkeypatch):
         load = None
         if work:
             load = forms.follower_pressure(ufl.split(w)[0], 0.01 * t, v, body.ds("right"))
-        return presets.preset(forms.system(potential, w, held, load))["pc_type"]
+        return presets.preset(forms.Problem(potential, w, held, load))["pc_type"]
 
     assert kind() == "cholesky"
     iterative_from(monkeypatch, 100)
@@ -194,7 +194,7 @@ def test_the_field_split_is_for_large_symmetric_bodies_in_space(monkeypatch):
     u, p = ufl.split(w)
     F = forms.deformation_gradient(u)
     psi = forms.energies.with_pressure(forms.energies.isochoric_neo_hookean(F, 1.0), F, p)
-    plane = forms.system(psi * ufl.dx, w, [forms.clamp(w, body.facets("left"))])
+    plane = forms.Problem(psi * ufl.dx, w, [forms.clamp(w, body.facets("left"))])
     assert plane.size > 100 and presets.preset(plane)["pc_type"] == "cholesky"
 
 

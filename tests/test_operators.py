@@ -42,7 +42,7 @@ MESHES = {
 
 def numbers(potential, u, **kinds):
     """Energy, residual and tangent as numbers."""
-    system = forms.system(potential, u, **kinds)
+    system = forms.Problem(potential, u, **kinds)
     b, A = system.create_vector(), system.create_matrix()
     system.residual(b)
     system.tangent(A)
@@ -613,7 +613,7 @@ from dolfinx import mesh
 u = forms.displacement(mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2))
 psi = forms.energies.hencky(forms.deformation_gradient(u), 1.0, 1.0)
 try:
-    forms.system(psi * ufl.dx, u)
+    forms.Problem(psi * ufl.dx, u)
 except RuntimeError as error:
     print(MPI.COMM_WORLD.gather(str(error)))
 """
@@ -626,7 +626,7 @@ from dolfinx import mesh
 u = forms.displacement(mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2))
 u.interpolate(lambda x: 0.1 * x)
 psi = forms.energies.hencky(forms.deformation_gradient(u), 1.0, 1.0)
-energy = forms.system(psi * ufl.dx, u).energy()
+energy = forms.Problem(psi * ufl.dx, u).energy()
 if MPI.COMM_WORLD.rank == 0:
     print(energy)
 """
@@ -797,7 +797,7 @@ for potential, unknown, field in (
     (mixed * ufl.dx + forms.spring(v, 2.0, ufl.ds), w, v),
 ):
     for held in [], [forms.roller(unknown, left, 0)], [forms.clamp(unknown, left)]:
-        system = forms.system(potential, unknown, held)
+        system = forms.Problem(potential, unknown, held)
         A = system.create_matrix()
         assert A.getAttr("variform_insertion") is not None
         for projected in [False, False] + [True] * system.minimization:

@@ -65,7 +65,7 @@ def test_values_with_blanks_arrive_whole(database):
 
 def test_two_solvers_share_nothing(scene, database):
     """A second Newton that ends takes none of the first one's options with it."""
-    system = forms.system(*scene)
+    system = forms.Problem(*scene)
     first = forms.solving.Newton(system, {"snes_max_it": 7, "ksp_type": "gmres"})
     second = forms.solving.Newton(system, {"snes_max_it": 9})
     kinds = [newton.snes.getKSP().getType() for newton in (first, second)]
@@ -93,11 +93,11 @@ psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
 potential = psi * ufl.dx + forms.dead_traction(u, ufl.as_vector([0.1, 0.0]), body.ds("right"))
 found = {}
 for prefix in sys.argv[1].split(","):
-    newton = forms.solving.Newton(forms.system(potential, u, [forms.clamp(u, body.facets("left"))]),
-                          prefix=prefix)
+    problem = forms.Problem(potential, u, [forms.clamp(u, body.facets("left"))])
+    newton = forms.solving.Newton(problem, prefix=prefix)
     found[prefix] = newton.snes.getTolerances()[3]
     newton.destroy()
-    newton = forms.solving.Newton(newton.system, prefix=prefix)  # the options were not taken away
+    newton = forms.solving.Newton(problem, prefix=prefix)  # the options were not taken away
     found[prefix] = [found[prefix], newton.snes.getTolerances()[3]]
     newton.predict()
     newton.solve()

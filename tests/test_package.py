@@ -88,7 +88,7 @@ print(meshes.read(MPI.COMM_WORLD, "square.xdmf").mesh.topology.dim, "dimensions"
 u = forms.displacement(square)
 psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
 for call in (lambda: meshes.block(MPI.COMM_WORLD, (1.0, 1.0), n=2),
-             lambda: forms.lowest_modes(forms.system(psi * ufl.dx, u))):
+             lambda: forms.lowest_modes(forms.Problem(psi * ufl.dx, u))):
     try:
         call()
     except ImportError as error:

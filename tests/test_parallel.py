@@ -99,7 +99,7 @@ def solved(scene, tight):
         path = forms.follow(potential, u, supports, t, step=0.5, virtual_work=virtual_work,
                             progress=False, **tolerance)
     moved = forms.displacement_of(u)
-    force, moment = forms.resultant(path.system, held)
+    force, moment = forms.resultant(path.problem, held)
     return {
         "displacement": [forms.at(moved, point).tolist() for point in points]
         or [forms.integral(ufl.inner(u, u) * ufl.dx)],

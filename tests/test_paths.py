@@ -365,7 +365,7 @@ def test_petsc_s_own_arc_length_finds_the_same_path():
     assert np.any(np.diff(loads) < 0) and np.all(np.diff(crowns) < 0)
 
     u.x.array[:], q.value = 0, 1
-    system, whole = forms.system(inside, u, held), forms.system(inside + load, u, held)
+    system, whole = forms.Problem(inside, u, held), forms.Problem(inside + load, u, held)
     A, b, dead = system.create_matrix(), system.create_vector(), system.create_vector()
     whole.residual(dead)  # at rest all of it is the load's
     dead.scale(-1)

@@ -91,7 +91,7 @@ def test_the_last_iterations_are_quadratic(box):
 
 def matrices(potential, u):
     """Full and projected tangent as dense matrices."""
-    system = forms.system(potential, u)
+    system = forms.Problem(potential, u)
     A = system.create_matrix()
     out = []
     for projected in (False, True):

@@ -100,7 +100,7 @@ def test_one_point_is_exact_for_linear_elements(rng):
     u = forms.displacement(body("tetrahedron"), 1)
     psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
     u.x.array[:] = 0.05 * rng.normal(size=u.x.array.size)
-    one, many = forms.system(psi * ufl.dx, u), forms.system(psi * ufl.dx(degree=6), u)
+    one, many = forms.Problem(psi * ufl.dx, u), forms.Problem(psi * ufl.dx(degree=6), u)
     assert one.energy() == pytest.approx(many.energy(), rel=1e-13)
     a, b = one.create_vector(), many.create_vector()
     one.residual(a)
@@ -120,7 +120,7 @@ def test_order_of_convergence_stays(k):
             u.interpolate(lambda x: 0.2 * np.array([np.sin(2 * x[1]), x[2] ** 3, np.cos(x[0])]))
             psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
             dx = ufl.dx if degree is None else ufl.dx(degree=degree)
-            found.append(forms.system(psi * dx, u).energy())
+            found.append(forms.Problem(psi * dx, u).energy())
         errors.append(np.abs(np.diff(found)))
     rates = [np.log2(e[0] / e[1]) for e in errors]
     assert rates[0] > min(rates[1], 2 * k - 2) - 0.3
@@ -144,7 +144,7 @@ def test_one_rule_wherever_a_form_is_compiled(case, cells, rng):
     u = forms.displacement(body(cells), 2)
     u.x.array[:] = 0.02 * rng.standard_normal(u.x.array.size)
     potential = ROUGH[case](u, forms.deformation_gradient(u))
-    system = forms.system(potential, u)
+    system = forms.Problem(potential, u)
     assert forms.integral(potential) == pytest.approx(system.energy(), rel=1e-14)
     b = system.create_vector()
     system.residual(b)

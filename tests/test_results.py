@@ -34,8 +34,8 @@ def sheared():
 def test_resultants_of_both_ends_are_opposite(sheared):
     """Nothing else holds the body: the two ends' forces and moments cancel."""
     mesh, _, _, path = sheared
-    force, moment = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
-    opposite, counter = forms.resultant(path.system, at_plane(mesh, 2, 0.0))
+    force, moment = forms.resultant(path.problem, at_plane(mesh, 2, 1.0))
+    opposite, counter = forms.resultant(path.problem, at_plane(mesh, 2, 0.0))
     assert force[0] > 0.1
     assert force == pytest.approx(-opposite, abs=1e-9)
     assert moment == pytest.approx(-counter, abs=1e-9)
@@ -45,10 +45,10 @@ def test_resultants_of_both_ends_are_opposite(sheared):
 def test_moment_moves_with_its_point(sheared):
     """M(c) = M(0) - c x force."""
     mesh, _, _, path = sheared
-    force, moment = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    force, moment = forms.resultant(path.problem, at_plane(mesh, 2, 1.0))
     with pytest.raises(ValueError, match=r"about is a point of 3 coordinates, got \(1, 2\)"):
-        forms.resultant(path.system, at_plane(mesh, 2, 1.0), about=(1, 2))
-    _, moved = forms.resultant(path.system, at_plane(mesh, 2, 1.0), about=(1, 2, 3))
+        forms.resultant(path.problem, at_plane(mesh, 2, 1.0), about=(1, 2))
+    _, moved = forms.resultant(path.problem, at_plane(mesh, 2, 1.0), about=(1, 2, 3))
     assert moved == pytest.approx(moment - np.cross([1, 2, 3], force), abs=1e-12)
 
 
@@ -60,7 +60,7 @@ def test_resultant_is_the_work_of_a_rigid_motion(sheared):
         part.set(v.x.array)
     P = forms.stress.first_piola(psi, F)
     work = forms.integral(ufl.inner(P, ufl.grad(v)) * ufl.dx(degree=2))
-    force, _ = forms.resultant(path.system, at_plane(mesh, 2, 1.0))
+    force, _ = forms.resultant(path.problem, at_plane(mesh, 2, 1.0))
     assert force[0] == pytest.approx(work, rel=1e-12)
 
 
@@ -97,7 +97,7 @@ def test_fields_that_live_at_quadrature_points(tmp_path):
     u.interpolate(lambda x: (0.4 * x[0], 0.1 * x[1]))
     F = forms.plane_stress(u, lambda F: forms.energies.neo_hookean(F, 1.0, 2.0))
     psi = forms.energies.neo_hookean(F, 1.0, 2.0)
-    forms.system(psi * ufl.dx, u).update_dependents()
+    forms.Problem(psi * ufl.dx, u).prepare()
     P = forms.stress.first_piola(psi, F)
     values = forms.at(forms.field(P, mesh), (0.3, 0.6)).reshape(3, 3)
     stretch = forms.at(forms.field(F[2, 2], mesh), (0.3, 0.6))[0]
@@ -119,7 +119,7 @@ def test_wrong_arguments_are_refused(sheared):
         (lambda: forms.integral(psi), "got Sum: integrate a density with dx"),
         (
             lambda: forms.solve(psi * ufl.dx, path.u, record={"a": 1.0}),
-            "record needs functions of the system, got float for 'a'",
+            "record needs functions of the problem, got float for 'a'",
         ),
         (lambda: forms.picture(mesh, "a.png"), "needs the unknown itself.* got Mesh"),
     ):

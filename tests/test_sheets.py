@@ -113,7 +113,7 @@ def test_bending_of_a_stretched_sheet(share):
         forms.translate(u, body.facets("right"), (turned, None)),
     ]
     path = forms.solve(psi * ufl.dx, u, held)
-    reaction, moment = forms.resultant(path.system, body.facets("right"), about=(2, 0.5, 0))
+    reaction, moment = forms.resultant(path.problem, body.facets("right"), about=(2, 0.5, 0))
     assert reaction[0] == pytest.approx(force, rel=2e-3)
     assert -moment[-1] / reaction[0] == pytest.approx(share, rel=2e-3)
 
@@ -192,7 +192,7 @@ def test_a_curtain_hangs_by_its_weight(kind):
 
     drop = integrate.quad(lambda y: stretch(y) - 1, -0.5, 0.5)[0]
     assert -forms.at(u, (0, -0.5, 0))[1] == pytest.approx(drop, rel=1e-5)
-    reaction, _ = forms.resultant(path.system, body.facets("top"))
+    reaction, _ = forms.resultant(path.problem, body.facets("top"))
     assert reaction == pytest.approx([0, 0.5, 0], abs=1e-10)
 
 

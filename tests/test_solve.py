@@ -26,7 +26,7 @@ def pulled(psi, dim=3, stretch=1.5, mixed=False):
     ends = (stretch - 1, *[None] * (dim - 1))
     supports.append(forms.translate(u, at_plane(mesh, 0, 1.0), ends))
     path = forms.solve(psi(u), u, supports, **TIGHT)
-    force, _ = forms.resultant(path.system, at_plane(mesh, 0, 1.0))
+    force, _ = forms.resultant(path.problem, at_plane(mesh, 0, 1.0))
     return forms.displacement_of(u), force[0]
 
 
@@ -239,7 +239,7 @@ def test_quadratic_convergence_near_the_solution():
         forms.clamp(u, at_plane(mesh, 0, 0.0)),
         forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
     ]
-    newton = forms.solving.Newton(forms.system(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
+    newton = forms.solving.Newton(forms.Problem(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
     norms = []
     for snes in (newton.snes, newton._by_residual):
         snes.setMonitor(lambda snes, it, norm: norms.append(norm))

@@ -92,7 +92,7 @@ held = [forms.roller(w, body.facets("left"), 0), forms.roller(w, body.facets("bo
 damage = ((1 - d) ** 2 * psi + 0.5 / 2 * crack) * ufl.dx
 path = forms.follow(damage, w, held, t, progress=False, rtol=1e-12, ctol=1e-10)
 found["damage"] = [*forms.at(forms.field(d, body), (0.3, 0.6)), forms.integral(psi * ufl.dx),
-                   float(path.system.minimization), float("full tangent" in
+                   float(path.problem.minimization), float("full tangent" in
                    path.steps[-1].convergence.tried)]
 if COMM.rank == 0:
     print(json.dumps(found))

@@ -43,7 +43,7 @@ CLOSE = 1e-7  # of the numbers, relative: two builds of one code differ by 1e-10
 def numbers(path):
     """What one path did."""
     runs = [step.convergence for step in path.steps]
-    problem = path.system
+    problem = path.problem
     return {
         "loads": [float(f"{step.load:.10g}") for step in path.steps],
         "iterations": [run.iterations for run in runs],
@@ -57,7 +57,7 @@ def numbers(path):
 
 
 @contextlib.contextmanager
-def recorded(found):
+def recorded(found, pictures=False):
     """Note down every path that a call of the public functions returns, or raises."""
     kept = {name: getattr(forms, name) for name in (*CALLS, "picture")}
 
@@ -75,7 +75,8 @@ def recorded(found):
 
     for name in CALLS:
         setattr(forms, name, noting(kept[name]))
-    forms.picture = lambda *arguments, **options: None
+    if not pictures:
+        forms.picture = lambda *arguments, **options: None
     try:
         yield
     finally:
@@ -105,7 +106,7 @@ def hard(name):
 def validation(name):
     """Paths of a case of the validation gallery."""
     found = []
-    with recorded(found):
+    with recorded(found, pictures=True):
         VALIDATION[name].run(Path("results"), MPI.COMM_SELF)
     return found
 
@@ -174,8 +175,8 @@ def main(names, write=False):
         for sentence in said:
             print(f"    {sentence}", flush=True)
         scenes[name] = found
-    if write:
-        FILE.write_text(json.dumps({"machine": machine(), "scenes": scenes}, indent=1) + "\n")
+        if write:
+            FILE.write_text(json.dumps({"machine": machine(), "scenes": scenes}, indent=1) + "\n")
     return wrong == 0
 
 

@@ -116,7 +116,7 @@ def made(u, supports, t, potential, F, call=follow, **more):
 
 def opposite(case, body, one, other, moment=False):
     """Resultants of two supports: they are to be equal and opposite."""
-    system = forms.system(case.potential, case.u, case.supports)
+    system = forms.Problem(case.potential, case.u, case.supports)
     a, b = (np.array(forms.resultant(system, body.facets(face))) for face in (one, other))
     what = "moments" if moment else "forces"
     largest = np.abs(a[int(moment)]).max()
@@ -163,7 +163,7 @@ def confined():
     exact = MU * (0.05 - 1 / 0.05) + LMBDA * np.log(0.05) / 0.05
 
     def known(path):
-        system = forms.system(case.potential, u, held)
+        system = forms.Problem(case.potential, u, held)
         force = forms.resultant(system, body.facets("top"))[0][2]
         return [("force", force, exact, 1e-6 * abs(exact))]
 
@@ -282,7 +282,7 @@ def cook():
     case = made(w, held, t, psi * ufl.dx + load, F)
 
     def known(path):
-        force = forms.resultant(forms.system(case.potential, w, held), body.facets("left"))[0]
+        force = forms.resultant(forms.Problem(case.potential, w, held), body.facets("left"))[0]
         rise = forms.at(forms.displacement_of(w), (48, 60))[1]
         return [("reaction", force[1], -500, 1e-3), ("rise", rise, None, None)]
 
@@ -509,7 +509,7 @@ def hanging():
     case = made(u, held, t, psi * ufl.dx + load, F, solve, steps=1)
 
     def known(path):
-        force = forms.resultant(forms.system(case.potential, u, held), body.facets("left"))[0]
+        force = forms.resultant(forms.Problem(case.potential, u, held), body.facets("left"))[0]
         return [("reaction", force[2], 0.1, 1e-6)]
 
     case.known = known
@@ -542,7 +542,7 @@ CASES = {
 
 def faults(case, path):
     """What is wrong with the state in u, a list of words; and the numbers looked at."""
-    system, u = forms.system(case.potential, case.u, case.supports, case.virtual_work), case.u
+    system, u = forms.Problem(case.potential, case.u, case.supports, case.virtual_work), case.u
     for support in case.supports:
         support.update()
     wrong, numbers = [], {}
@@ -619,7 +619,7 @@ def by_variform(case):
     for start in case.starts:
         case.begin(start)
         converged = True
-        with outcome.timed(forms.assembly.System, "tangent"):
+        with outcome.timed(forms.Problem, "tangent"):
             try:
                 path = case.call()
             except forms.NotConverged as error:
@@ -640,10 +640,10 @@ def by_variform(case):
 def by_dolfinx(case, to):
     """DOLFINx's Newton solver with equal load steps up to a load factor."""
     outcome, start = Outcome(), time.process_time()
-    system = forms.system(case.potential, case.u, case.supports, case.virtual_work)
+    system = forms.Problem(case.potential, case.u, case.supports, case.virtual_work)
     # 0.10 gave the old problem a longer name.
     old = getattr(fem_petsc, "NewtonSolverNonlinearProblem", fem_petsc.NonlinearProblem)
-    problem = old(system.residual_form, case.u, system.conditions, system.tangent_form)
+    problem = old(system.forms.residual_form, case.u, system.conditions, system.forms.tangent_form)
     solver = NewtonSolver(COMM, problem)
     solver.krylov_solver.setType("preonly")
     solver.krylov_solver.getPC().setType("lu")

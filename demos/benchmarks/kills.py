@@ -31,7 +31,7 @@ from variform import forms
 body = mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2)
 u = forms.displacement(body)
 F = forms.deformation_gradient(u)
-problem = forms.system(forms.energies.hencky(F, 1.0, 2.0) * ufl.dx, u)
+problem = forms.Problem(forms.energies.hencky(F, 1.0, 2.0) * ufl.dx, u)
 problem.residual(problem.create_vector())
 problem.tangent(problem.create_matrix())
 forms.field(forms.stress.cauchy(forms.energies.neo_hookean(F, 1.0, 2.0), F), body)

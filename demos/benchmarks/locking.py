@@ -73,7 +73,7 @@ def deflection(scene, element, n, nu, energy="neo-Hookean"):
     load = forms.dead_traction(u, ufl.as_vector([t * f for f in force]), body.ds(end))
     held = [forms.clamp(w, body.facets("left"))]
     path = forms.follow(psi * ufl.dx + load, w, held, t, step=0.5, progress=False)
-    return float(forms.at(forms.displacement_of(w), point)[-1]), path.system.size
+    return float(forms.at(forms.displacement_of(w), point)[-1]), path.problem.size
 
 
 def measured(scene, nu, energy, elements, small):

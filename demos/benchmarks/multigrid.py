@@ -62,7 +62,7 @@ def preset(element, direct):
 def solved(element, n):
     """One tangent solve at rest: iterations, and seconds of assembly, set-up and solve."""
     w, _, potential, held = twisted(element, n)
-    system = forms.system(potential, w, held)
+    system = forms.Problem(potential, w, held)
     newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
     start = time.process_time()
     newton.scaled.measure()
@@ -90,7 +90,7 @@ def walked(element, n):
     path = forms.follow(potential, w, held, t, to=0.3, step=0.15, progress=False)
     ends = [step.convergence for step in path.steps]
     return {
-        "dofs": path.system.size,
+        "dofs": path.problem.size,
         "Newton": sum(end.iterations for end in ends),
         "iterations": sum(end.linear_iterations for end in ends),
         "seconds": round(time.process_time() - start, 1),

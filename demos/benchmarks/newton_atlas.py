@@ -65,15 +65,17 @@ class Scene:
         self.follow = lambda to: forms.follow(
             psi * ufl.dx, self.u, held, self.t, to=to, step=np.pi / 24, progress=False
         )
-        self.system = forms.system(psi * ufl.dx, self.u, held)
+        self.system = forms.Problem(psi * ufl.dx, self.u, held)
         x = self.u.function_space.tabulate_dof_coordinates()
         free = (x[:, 0] > 1e-9) & (x[:, 0] < 2 - 1e-9)
         throw = np.random.default_rng(0).uniform(-1, 1, x.shape) / n
         self.throw = np.where(free[:, None], throw, 0).ravel()
         # 0.10 gave the old problem a longer name.
         old = getattr(fem_petsc, "NewtonSolverNonlinearProblem", fem_petsc.NonlinearProblem)
-        system = self.system
-        self.problem = old(system.residual_form, self.u, system.conditions, system.tangent_form)
+        written = self.system.forms
+        self.problem = old(
+            written.residual_form, self.u, self.system.conditions, written.tangent_form
+        )
 
     def solved(self, angles):
         """The right states by small steps, checked to be stable."""

@@ -101,14 +101,14 @@ def cases(order, degree, n):
     F = forms.deformation_gradient(u)
     dx = ufl.dx(degree=degree)
     systems = {
-        "neo_hookean, plain UFL": forms.system(energies.neo_hookean(F, MU, LMBDA) * dx, u),
-        "fixed_corotated": forms.system(energies.fixed_corotated(F, MU, LMBDA) * dx, u),
+        "neo_hookean, plain UFL": forms.Problem(energies.neo_hookean(F, MU, LMBDA) * dx, u),
+        "fixed_corotated": forms.Problem(energies.fixed_corotated(F, MU, LMBDA) * dx, u),
     }
     v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
     stored = Stored(u, degree, v, du)
     vector = systems["fixed_corotated"].create_vector()
     A = systems["fixed_corotated"].create_matrix()
-    foreign = fem_petsc.create_matrix(systems["fixed_corotated"].tangent_form)
+    foreign = fem_petsc.create_matrix(systems["fixed_corotated"].forms.tangent_form)
     residuals, solving, usual = {}, {}, {}
 
     def into_vector(form, before=None):
@@ -131,9 +131,9 @@ def cases(order, degree, n):
 
     tangents = {}
     for name, system in systems.items():
-        residuals[name] = into_vector(system.residual_form)
-        tangents[name] = (system.tangent_form, None)
-        tangents[name + ", projected"] = (compiled(system.tangent_ufl, project=True), None)
+        residuals[name] = into_vector(system.forms.residual_form)
+        tangents[name] = (system.forms.tangent_form, None)
+        tangents[name + ", projected"] = (compiled(system.forms.tangent_ufl, project=True), None)
     residuals["fixed_corotated, stored, NumPy"] = into_vector(
         stored.residual, stored.update_residual
     )
@@ -154,11 +154,11 @@ def sheets(order, n):
     F = forms.membrane_gradient(u)
     same = energies.principal(lambda s1, s2: (s1**2 + s2**2 + 1 / (s1 * s2) ** 2 - 3) / 2)
     systems = {
-        "neo_hookean_sheet, plain UFL": forms.system(
+        "neo_hookean_sheet, plain UFL": forms.Problem(
             energies.neo_hookean_sheet(F, 1.0) * ufl.dx, u
         ),
-        "the same by principal": forms.system(same(F) * ufl.dx, u),
-        "neo_hookean_tension_field": forms.system(
+        "the same by principal": forms.Problem(same(F) * ufl.dx, u),
+        "neo_hookean_tension_field": forms.Problem(
             energies.neo_hookean_tension_field(F, 1.0) * ufl.dx, u
         ),
     }

@@ -90,7 +90,7 @@ def measured(element, m):
     potential = psi * ufl.dx(degree=degree)
     turn = forms.rotate(u, right, angle=TWIST * t, axis=(1, 0, 0), shift=(STRETCH * t, 0, 0))
     held = [forms.clamp(u, left), turn]
-    system = forms.system(potential, u, held)
+    system = forms.Problem(potential, u, held)
     PETSc.Log.begin()
     seconds, about = _pieces(system, u)
     u.x.array[:] = 0

@@ -43,7 +43,7 @@ def measured(case):
     """Row of one solve, without its error; the preset of the linear solver is put back."""
     degree = {} if case.degree is None else {"degree": case.degree}
     problem = SCENES[case.scene][case.model](case.element, case.n, **degree)
-    system = forms.system(problem.potential, problem.unknown, problem.supports)
+    system = forms.Problem(problem.potential, problem.unknown, problem.supports)
     preset, options = linear.preset, {}
     if case.method == "MUMPS":
         linear.preset = lambda system, A: linear.direct(system.symmetric)

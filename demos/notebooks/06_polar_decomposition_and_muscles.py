@@ -339,8 +339,8 @@ assert np.allclose(bent[:, -1] / h * length / 2, np.pi, rtol=0.02)  # each half 
 # found = np.eye(2) + np.stack(
 #     [forms.at(u, (length, 0)) / length, (forms.at(u, (0, h)) - forms.at(u, (0, 0))) / h], 1
 # )
-# print("energy", path.system.energy(), "F A", (found @ shear).round(6).tolist())
-# assert abs(path.system.energy()) < 1e-12
+# print("energy", path.problem.energy(), "F A", (found @ shear).round(6).tolist())
+# assert abs(path.problem.energy()) < 1e-12
 # assert np.allclose(shear.T @ found.T @ found @ shear, np.eye(2), atol=1e-6)
 # ```
 # </details>

@@ -60,7 +60,7 @@ def manufactured(k, n, **quadrature):
 
 def timed(u, potential, held):
     """CPU seconds of matrices, Newton's method and linear solves, without compiling; best of 3."""
-    system, seconds = forms.system(potential, u, held), []
+    system, seconds = forms.Problem(potential, u, held), []
     for _ in range(3):
         u.x.array[:] = 0
         start, newton = time.process_time(), forms.solving.Newton(system)

@@ -31,20 +31,20 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
     Returns:
         The dictionary, alike on all ranks.
     """
-    system = path.system
-    mesh = system.u.function_space.mesh
+    problem = path.problem
+    mesh = problem.u.function_space.mesh
     content = {
         "completed": path.completed,
         "reason": path.reason,
         "seconds": path.seconds,
-        "peak_memory_mb": peak_memory(system.comm),
+        "peak_memory_mb": peak_memory(problem.comm),
         "refused_steps": path.refused,
         "steps": [
             {"load": s.load, **vars(s.convergence), "records": s.records} for s in path.steps
         ],
-        "unknowns": system.size,
+        "unknowns": problem.size,
         "cells": mesh.topology.index_map(mesh.topology.dim).size_global,
-        "ranks": system.comm.size,
+        "ranks": problem.comm.size,
         "versions": {
             "dolfinx": dolfinx.__version__,
             "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
@@ -60,7 +60,7 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_text(json.dumps(plain, indent=1) + "\n")
 
-        on_rank_zero(system.comm, write)
+        on_rank_zero(problem.comm, write)
     return plain
 
 

@@ -15,9 +15,9 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from ..assembly import System
 from ..files.checkpoint import Archive, Checkpoint, Saved
 from ..paths import Path, Step, check_record, recorded
+from ..problems import Problem
 from ..supports import Support
 from .bordered import Bordered
 from .progress import bar_of
@@ -37,14 +37,14 @@ def arc_length(
     step: float,
     to: float | None = None,
     steps: int = 1000,
-    until: Callable[[System], bool] | None = None,
+    until: Callable[[Problem], bool] | None = None,
     largest: float = 0.05,
     along: fem.Function | None = None,
     virtual_work: ufl.Form | None = None,
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     max_iterations: int = 15,
-    record: Mapping[str, Callable[[System], Any]] | None = None,
+    record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     checkpoint: Checkpoint | None = None,
     progress: bool = True,
@@ -65,7 +65,7 @@ def arc_length(
         step: Change of q in the first step; its sign is the direction in which the path is left.
         to: Load factor at which the path ends when it is first passed, solved for exactly.
         steps: Largest number of steps.
-        until: Function of the system that tells, after each step, whether the path is at its end.
+        until: Function of the problem that tells, after each step, whether the path is at its end.
         largest: Largest displacement of a step over the model's size.
         along: Direction in which the path is left, in place of that of growing q: a mode of
             :func:`forms.lowest_modes` turns into another branch at a bifurcation. ``step`` is then
@@ -74,7 +74,7 @@ def arc_length(
         rtol: Tolerance of |R_free| relative to the force level.
         ctol: Tolerance of the last correction relative to the model's size.
         max_iterations: Newton iterations per step.
-        record: Functions of the system, evaluated after each step.
+        record: Functions of the problem, evaluated after each step.
         on_step: Called with the path after each step.
         checkpoint: Where the path is saved, and taken up when the script is started again; see
             :class:`forms.Checkpoint`.
@@ -91,22 +91,22 @@ def arc_length(
     """
     _check(step, to, steps, until, largest, float(getattr(q, "value", 0.0)))
     check_record(record)
-    problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    path, start = Path(u, problem.system, begin=problem.load), time.perf_counter()
-    before, load = u.x.array.copy(), problem.load
-    bar = bar_of("arc length", None, problem.system.comm, progress)
-    plane, ended = _Plane(problem, along), ""
+    bordered = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
+    path, start = Path(u, bordered.problem, begin=bordered.load), time.perf_counter()
+    before, load = u.x.array.copy(), bordered.load
+    bar = bar_of("arc length", None, bordered.problem.comm, progress)
+    plane, ended = _Plane(bordered, along), ""
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of arc_length")
 
     def ending() -> str:
         if to is not None and load == to:
             return f"Load factor {to:.6g} reached"
-        if until is not None and path.steps and until(problem.system):
+        if until is not None and path.steps and until(bordered.problem):
             return "The end of the path reached"
         return f"{steps} steps taken" if len(path.steps) >= steps else ""
 
     try:
-        outcome = problem.solve(_Load(problem, load))  # where the start is not in equilibrium
+        outcome = bordered.solve(_Load(bordered, load))  # where the start is not in equilibrium
         if not outcome.converged:
             raise failure(
                 path, f"{outcome.sentence()}, at the start, q = {load:.6g}.", outcome.advice
@@ -116,12 +116,12 @@ def arc_length(
         least = SHORTEST * length
         if archive is not None and (saved := archive.read()) is not None:
             length = _resume(saved, path, plane)
-            before, load, ended = u.x.array.copy(), problem.load, ending()
+            before, load, ended = u.x.array.copy(), bordered.load, ending()
             start -= path.seconds
         while not ended:
-            length = min(length, largest * problem.scaled.size / plane.largest)
+            length = min(length, largest * bordered.scaled.size / plane.largest)
             plane.leave(length)
-            outcome = problem.solve(plane)
+            outcome = bordered.solve(plane)
             turned = False
             if outcome.converged:
                 turned = plane.advance() < SHARPEST and length > 2 * least
@@ -129,14 +129,14 @@ def arc_length(
                     plane.restore()
             if outcome.converged and not turned:
                 outcome = replace(outcome, negative=plane.negative)
-                if to is not None and (load - to) * (problem.load - to) <= 0:
-                    outcome = problem.solve(_Load(problem, to))
+                if to is not None and (load - to) * (bordered.load - to) <= 0:
+                    outcome = bordered.solve(_Load(bordered, to))
                     if not outcome.converged:
                         raise failure(path, f"{outcome.sentence()}, at the load factor {to}.")
                     q.value = to  # to the last digit, by which the end is known
-                before, load = u.x.array.copy(), problem.load
+                before, load = u.x.array.copy(), bordered.load
                 plane.accept()
-                path.steps.append(Step(load, outcome, recorded(record, problem.system)))
+                path.steps.append(Step(load, outcome, recorded(record, bordered.problem)))
                 bar.update()
                 bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
@@ -161,8 +161,8 @@ def arc_length(
     finally:
         plane.destroy()
         u.x.array[:], q.value = before, load
-        problem.system.update_dependents()
-        problem.destroy()
+        bordered.problem.prepare()
+        bordered.destroy()
         bar.close()
         path.seconds = time.perf_counter() - start
     path.end(f"{ended} in {len(path.steps)} steps")
@@ -184,7 +184,7 @@ def _resume(saved: Saved, path: Path, plane: _Plane) -> float:
     path.resumed = path.load
     plane.resume(saved.states[1], control["slope"], control["negative"])
     path.u.x.array[:] = saved.states[0]
-    plane.problem.q.value = path.load
+    plane.bordered.q.value = path.load
     plane.accept()
     return float(control["length"])
 
@@ -192,19 +192,19 @@ def _resume(saved: Saved, path: Path, plane: _Plane) -> float:
 class _Plane:
     """The constraint t . (y - y_n) = s in the scaled unknown, over its displacements."""
 
-    def __init__(self, problem: Bordered, along: fem.Function | None) -> None:
-        self.problem = problem
-        self.t, self.base, self.y = (problem.b.duplicate() for _ in range(3))
-        self._earlier = problem.b.duplicate()
-        self.slope, self._length, self.scale = 0.0, 0.0, problem.scaled.size
+    def __init__(self, bordered: Bordered, along: fem.Function | None) -> None:
+        self.bordered = bordered
+        self.t, self.base, self.y = (bordered.b.duplicate() for _ in range(3))
+        self._earlier = bordered.b.duplicate()
+        self.slope, self._length, self.scale = 0.0, 0.0, bordered.scaled.size
         self.negative: int | None = None
         self._along = along
 
     def first(self, step: float) -> float:
         """Set the first tangent; length of the first step."""
-        problem = self.problem
-        self.negative = problem.tangent()
-        norm = self._take(problem.du_q, -1.0)
+        bordered = self.bordered
+        self.negative = bordered.tangent()
+        norm = self._take(bordered.du_q, -1.0)
         if norm == 0:
             raise ValueError("the load does not move the body: nothing to follow.")
         if not np.isfinite(norm):
@@ -219,13 +219,13 @@ class _Plane:
         if step < 0:
             self.t.scale(-1)
             self.slope *= -1
-        problem.scaled.get(self.base)
+        bordered.scaled.get(self.base)
         return length
 
     def direction(self) -> NDArray[np.float64]:
         """The tangent as values of the unknown."""
-        values = fem.Function(self.problem.system.u.function_space)
-        values.x.petsc_vec.pointwiseMult(self.t, self.problem.scaled.D)
+        values = fem.Function(self.bordered.problem.u.function_space)
+        values.x.petsc_vec.pointwiseMult(self.t, self.bordered.scaled.D)
         values.x.scatter_forward()
         return values.x.array
 
@@ -236,25 +236,25 @@ class _Plane:
 
     def _turn(self, direction: NDArray[np.float64]) -> None:
         """Make t the unit vector of values of the unknown."""
-        u = self.problem.system.u
+        u = self.bordered.problem.u
         before = u.x.array.copy()
         u.x.array[:] = direction
-        self.problem.scaled.get(self.y)
+        self.bordered.scaled.get(self.y)
         u.x.array[:] = before
         self._take(self.y, 1.0)
 
     @property
     def largest(self) -> float:
         """Largest displacement component of t."""
-        return self.problem.largest(self.t)
+        return self.bordered.largest(self.t)
 
     def leave(self, length: float) -> None:
         """Move along the tangent by a length."""
         self._length = length
-        self.problem.move(length, self.t, length * self.slope)
+        self.bordered.move(length, self.t, length * self.slope)
 
     def value(self) -> float:
-        self.problem.scaled.get(self.y)
+        self.bordered.scaled.get(self.y)
         self.y.axpy(-1, self.base)
         return float(self.t.dot(self.y)) - self._length
 
@@ -264,15 +264,15 @@ class _Plane:
 
     def advance(self) -> float:
         """Take the tangent of the new state; cosine of the larger angle with the step's chord."""
-        problem = self.problem
+        bordered = self.bordered
         self.t.copy(self._earlier)
         self._before = (self.slope, self.negative)
-        problem.scaled.get(self.y)
+        bordered.scaled.get(self.y)
         self.y.axpy(-1, self.base)
         self._mask(self.y)
         chord = self.y.norm()
-        self.negative = problem.tangent()
-        norm = self._take(problem.du_q, -1.0)
+        self.negative = bordered.tangent()
+        norm = self._take(bordered.du_q, -1.0)
         self.slope = 1 / norm
         if self.t.dot(self._earlier) < 0:
             self.t.scale(-1)
@@ -282,7 +282,7 @@ class _Plane:
 
     def accept(self) -> None:
         """Start the next step from the present state."""
-        self.problem.scaled.get(self.base)
+        self.bordered.scaled.get(self.base)
 
     def restore(self) -> None:
         """Return to the tangent before :meth:`advance`."""
@@ -299,7 +299,7 @@ class _Plane:
         return norm
 
     def _mask(self, x: PETSc.Vec) -> None:
-        x.array[self.problem.scaled.others] = 0
+        x.array[self.bordered.scaled.others] = 0
 
     def destroy(self) -> None:
         """Free the vectors."""
@@ -310,11 +310,11 @@ class _Plane:
 class _Load:
     """The constraint q = to."""
 
-    def __init__(self, problem: Bordered, to: float) -> None:
-        self.problem, self.to, self.scale = problem, to, abs(to) or 1.0
+    def __init__(self, bordered: Bordered, to: float) -> None:
+        self.bordered, self.to, self.scale = bordered, to, abs(to) or 1.0
 
     def value(self) -> float:
-        return self.problem.load - self.to
+        return self.bordered.load - self.to
 
     def gradient(self, g_u: PETSc.Vec) -> float:
         g_u.set(0)
@@ -325,7 +325,7 @@ def _check(
     step: float,
     to: float | None,
     steps: int,
-    until: Callable[[System], bool] | None,
+    until: Callable[[Problem], bool] | None,
     largest: float,
     q: float,
 ) -> None:
@@ -338,4 +338,4 @@ def _check(
     if to is not None and (not np.isfinite(to) or to == q):
         raise ValueError(f"to must be a load factor other than the present {q}, got {to}.")
     if until is not None and not callable(until):
-        raise ValueError(f"until is a function of the system, got {type(until).__name__}.")
+        raise ValueError(f"until is a function of the problem, got {type(until).__name__}.")

@@ -23,12 +23,12 @@ from dolfinx.fem import petsc as fem_petsc
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
-from ..assembly import displacement_degree, system
 from ..compilation import compiled
 from ..differentiation import dependents, expanded
 from ..loads import with_kinematics
 from ..operators.jets import Jet
 from ..paths import Convergence
+from ..problems import Problem
 from ..quadrature import with_quadrature
 from ..supports import Support
 from ..variation import residual
@@ -87,9 +87,9 @@ class Bordered:
     ) -> None:
         if not isinstance(q, fem.Constant) or q.ufl_shape != ():
             raise ValueError(f"a path needs a scalar Constant q, got {type(q).__name__}.")
-        self.system = system(potential, u, supports, virtual_work)
+        self.problem = Problem(potential, u, supports, virtual_work)
         self.q, self.rtol, self.ctol, self.most = q, rtol, ctol, max_iterations
-        self.degree = displacement_degree(u)
+        self.degree = self.problem.displacement_degree
         potential, virtual_work = with_kinematics(potential, virtual_work)
         R = residual(with_quadrature(potential, self.degree), u)
         if virtual_work is not None:
@@ -98,14 +98,14 @@ class Bordered:
         if R_q.empty():
             raise ValueError("the potential does not contain q: write a load with it.")
         self._R_q = compiled(R_q)
-        self.A, self.b = self.system.create_matrix(), self.system.create_vector()
-        self.scaled = Scaled(self.system, self.A)
+        self.A, self.b = self.problem.create_matrix(), self.problem.create_vector()
+        self.scaled = Scaled(self.problem, self.A)
         self.R, self.R_q, self.du, self.du_q, self.g_u = (self.b.duplicate() for _ in range(5))
         self.damping: Damping | None = None
         self.fresh = True  # not solved yet: the start may be flat
-        self.ksp = PETSc.KSP().create(self.system.comm)
+        self.ksp = PETSc.KSP().create(self.problem.comm)
         self.options = SolverOptions(PREFIX)
-        self.options.apply(presets.direct(self.system.symmetric))
+        self.options.apply(presets.direct(self.problem.symmetric))
         self.ksp.setOptionsPrefix(self.options.prefix)
         self.ksp.setFromOptions()
 
@@ -147,11 +147,11 @@ class Bordered:
             dq = self._step(off, g_q, damped=iteration == 0 and self.fresh and self.can_damp)
             if dq is None:
                 self.scaled.tangent()
-                cause = not_finite(self.system, self.A)
+                cause = not_finite(self.problem, self.A)
                 reason = cause or "the bordered system is singular"
                 advice = ADVICE if cause else ""
                 break
-            negative = inertia(self.ksp, self.system)
+            negative = inertia(self.ksp, self.problem)
             correction = self.move(-1.0, self.du, dq)
         return Convergence(
             converged=converged,
@@ -183,7 +183,7 @@ class Bordered:
         if not (self.scaled.is_finite() and self._solves(self.R_q, self.du_q)):
             self.du_q.set(np.nan)
             return None
-        return inertia(self.ksp, self.system)
+        return inertia(self.ksp, self.problem)
 
     def _solves(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Solve K x = b; whether that succeeded. Collective."""
@@ -196,7 +196,7 @@ class Bordered:
     @property
     def can_damp(self) -> bool:
         """Whether the tangent is that of a displacement's potential."""
-        return self.system.minimization and self.system.is_displacement
+        return self.problem.minimization and self.problem.is_displacement
 
     def _step(self, off: float, g_q: float, damped: bool) -> float | None:
         """Change of q, and of u in du, with g + dg = 0; None if no solve succeeds.
@@ -229,13 +229,13 @@ class Bordered:
     def _damp(self) -> None:
         """Add the damping to the tangent, made at its first use."""
         if self.damping is None:
-            self.damping = Damping(self.system, self.A, self.scaled.free)
+            self.damping = Damping(self.problem, self.A, self.scaled.free)
         self.damping.add(self.A)
 
     def move(self, factor: float, direction: PETSc.Vec, dq: float) -> float:
         """Change u by factor times a scaled direction, and q by dq; largest change of u [m]."""
         self.b.pointwiseMult(direction, self.scaled.D)
-        x = self.system.u.x.petsc_vec
+        x = self.problem.u.x.petsc_vec
         x.axpy(factor, self.b)
         x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
         self.q.value = self.load + dq
@@ -244,22 +244,22 @@ class Bordered:
     def largest(self, x: PETSc.Vec) -> float:
         """Largest displacement component of a vector, on all ranks; collective."""
         own = np.abs(x.array_r[self.scaled.displacements])
-        return float(max(self.system.comm.allgather(own.max(initial=0.0))))
+        return float(max(self.problem.comm.allgather(own.max(initial=0.0))))
 
     def assemble(self, form: fem.Form, b: PETSc.Vec) -> None:
         """Assemble a linear form of the scaled unknown at free degrees of freedom. Collective."""
-        self.system.update_dependents()
+        self.problem.prepare()
         with b.localForm() as local:
             local.set(0)
         fem_petsc.assemble_vector(b, form)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         b.pointwiseMult(b, self.scaled.D)
-        b.array[self.system.constrained] = 0
+        b.array[self.problem.constrained] = 0
 
     def integral(self, form: fem.Form) -> float:
         """Assemble a functional at the present state. Collective."""
-        self.system.update_dependents()
-        return float(self.system.comm.allreduce(fem.assemble_scalar(form)))
+        self.problem.prepare()
+        return float(self.problem.comm.allreduce(fem.assemble_scalar(form)))
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -10,8 +10,8 @@ import ufl
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from ..assembly import System
 from ..compilation import compiled
+from ..problems import Problem
 from .linear.diagonal import typical_diagonal
 
 FIRST, LEAST, MOST = 1e-6, 1e-10, 1e2
@@ -30,24 +30,24 @@ class Damping:
     most by STIFFENED), so that full steps come back.
 
     Args:
-        system: Displacement problem.
+        problem: Displacement problem.
         A: Assembled tangent to be compared with.
         free: Local numbers of the degrees of freedom that are compared.
         otherwise: Stiffness [N/m] to be compared with where all diagonal entries of A are 0.
     """
 
     def __init__(
-        self, system: System, A: PETSc.Mat, free: NDArray[np.int32], otherwise: float = 1.0
+        self, problem: Problem, A: PETSc.Mat, free: NDArray[np.int32], otherwise: float = 1.0
     ) -> None:
-        V = system.u.function_space
+        V = problem.u.function_space
         du, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         uniform = compiled(ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx)
-        self.L = fem_petsc.assemble_matrix(uniform, system.conditions)
+        self.L = fem_petsc.assemble_matrix(uniform, problem.conditions)
         self.L.assemble()
         diagonal = self.L.getDiagonal()
-        diagonal.array[system.constrained] = 0
+        diagonal.array[problem.constrained] = 0
         self.L.setDiagonal(diagonal)
-        self._balance(system)
+        self._balance(problem)
         # A potential on a part of the mesh only has fewer entries than L.
         same = _entries(A) == _entries(self.L)
         kinds = PETSc.Mat.Structure
@@ -57,14 +57,14 @@ class Damping:
         self.scale = stiffness / own if own else 0.0
         self.strength = FIRST
 
-    def _balance(self, system: System) -> None:
+    def _balance(self, problem: Problem) -> None:
         """Scale the other fields' stiffness like the first one's, as the tangent is scaled."""
-        fields = list(system.fields.values())
+        fields = list(problem.fields.values())
         if len(fields) == 1:
             return
         scale = self.L.createVecRight()
         scale.set(1.0)
-        free = [np.setdiff1d(field.dofs, system.constrained) for field in fields]
+        free = [np.setdiff1d(field.dofs, problem.constrained) for field in fields]
         typical = [typical_diagonal(self.L, rows) for rows in free]
         for rows, own in zip(free[1:], typical[1:], strict=True):
             scale.array[rows] = np.sqrt(typical[0] / own) if own > 0 else 1.0

@@ -13,10 +13,10 @@ import ufl
 from ufl.algorithms import expand_derivatives
 
 from .. import _dolfinx
-from ..assembly import System
 from ..compilation import compiled
 from ..differentiation import expanded
 from ..insertion import assemble, create_matrix
+from ..problems import Problem
 from ..variation import residual, tangent
 
 LONGEST = 100  # characters of a summand in a sentence
@@ -26,28 +26,28 @@ ADVICE = (
 )
 
 
-def not_finite(system: System, A: PETSc.Mat) -> str:
+def not_finite(problem: Problem, A: PETSc.Mat) -> str:
     """What of an assembled tangent is not finite, in words; empty where all of it is.
 
     As inf * 0 in the second derivative of a power below 2 of something that vanishes. Collective;
     compiles a form per summand of the potential, so it is for failures only.
 
     Args:
-        system: Problem, at the state that the tangent was assembled at.
+        problem: Problem, at the state that the tangent was assembled at.
         A: The tangent.
     """
-    found = _first_row(system, A)
+    found = _first_row(problem, A)
     if found is None:
         return ""
     place = f"({', '.join(f'{x:.3g}' for x in found)})"
-    culprit = next((str(s) for s, form in _summands(system) if _spoils(system, form)), "")
+    culprit = next((str(s) for s, form in _summands(problem) if _spoils(problem, form)), "")
     if len(culprit) > LONGEST:
         culprit = f"{culprit[: LONGEST // 2]} … {culprit[-LONGEST // 2 :]}"
     what = f"of the summand {culprit} " if culprit else ""
     return f"the second derivative {what}is not finite at {place}"
 
 
-def _first_row(system: System, A: PETSc.Mat) -> tuple[float, ...] | None:
+def _first_row(problem: Problem, A: PETSc.Mat) -> tuple[float, ...] | None:
     """Place of the first node whose row is not finite, alike on all ranks; None if all are."""
     x = A.createVecRight()
     x.set(1.0)
@@ -56,26 +56,26 @@ def _first_row(system: System, A: PETSc.Mat) -> tuple[float, ...] | None:
     rows = np.flatnonzero(~np.isfinite(b.array_r))
     here = None
     if rows.size:
-        here = tuple(_place(system, int(rows[0])))
+        here = tuple(_place(problem, int(rows[0])))
     for item in (x, b):
         item.destroy()
-    places = [place for place in system.comm.allgather(here) if place is not None]
+    places = [place for place in problem.comm.allgather(here) if place is not None]
     return places[0] if places else None
 
 
-def _place(system: System, dof: int) -> list[float]:
+def _place(problem: Problem, dof: int) -> list[float]:
     """Middle of a cell that has a degree of freedom of this rank; local."""
-    mesh, dofmap = system.u.function_space.mesh, system.u.function_space.dofmap
+    mesh, dofmap = problem.u.function_space.mesh, problem.u.function_space.dofmap
     cell = int(np.flatnonzero((dofmap.list == dof // dofmap.bs).any(axis=1))[0])
     nodes = _dolfinx.geometry_dofmap(mesh)[cell]
     return mesh.geometry.x[nodes].mean(axis=0)[: mesh.geometry.dim].tolist()
 
 
-def _summands(system: System) -> Iterator[tuple[ufl.core.expr.Expr, ufl.Form]]:
+def _summands(problem: Problem) -> Iterator[tuple[ufl.core.expr.Expr, ufl.Form]]:
     """Summands of the potential, each with its functional."""
-    if system.potential.arguments():
+    if problem.forms.potential.arguments():
         return
-    for integral in system.potential.integrals():
+    for integral in problem.forms.potential.integrals():
         for summand in _terms(integral.integrand()):
             yield summand, ufl.Form([integral.reconstruct(integrand=summand)])
 
@@ -92,12 +92,12 @@ def _terms(e: ufl.core.expr.Expr) -> Iterator[ufl.core.expr.Expr]:
         yield e
 
 
-def _spoils(system: System, functional: ufl.Form) -> bool:
+def _spoils(problem: Problem, functional: ufl.Form) -> bool:
     """Whether a functional's tangent is not finite. Collective."""
     form = expand_derivatives(expanded(functional))
-    if form.empty() or system.u not in form.coefficients():
+    if form.empty() or problem.u not in form.coefficients():
         return False
-    K = expand_derivatives(tangent(residual(form, system.u), system.u))
+    K = expand_derivatives(tangent(residual(form, problem.u), problem.u))
     if K.empty():
         return False
     compiled_form = compiled(K)
@@ -105,4 +105,4 @@ def _spoils(system: System, functional: ufl.Form) -> bool:
     assemble(A, compiled_form, [])
     finite = bool(np.isfinite(A.norm()))
     A.destroy()
-    return not system.comm.allreduce(finite, MPI.LAND)
+    return not problem.comm.allreduce(finite, MPI.LAND)

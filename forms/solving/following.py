@@ -13,12 +13,13 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from ..assembly import System, system
 from ..files.checkpoint import Archive, Checkpoint, Saved
 from ..paths import Convergence, Path, Step, check_record, instability, recorded
+from ..problems import Problem
 from ..supports import Support
 from .newton import Newton
 from .progress import bar_of
+from .reuse import newton_for, problem_for, release
 from .supported import failure
 
 EASY = 5  # Newton iterations up to which the next load step grows
@@ -28,8 +29,8 @@ BENT = 0.25
 
 
 def solve(
-    potential: ufl.Form,
-    u: fem.Function,
+    potential: ufl.Form | Problem,
+    u: fem.Function | None = None,
     supports: Iterable[Support] = (),
     *,
     virtual_work: ufl.Form | None = None,
@@ -38,13 +39,14 @@ def solve(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     projection: str = "auto",
-    record: Mapping[str, Callable[[System], Any]] | None = None,
+    record: Mapping[str, Callable[[Problem], Any]] | None = None,
     load: float = 1.0,
 ) -> Path:
     """Solve for u at the present loads, in one step from its present values. Collective.
 
     Args:
-        potential: Total potential [J] (or a residual, linear in a test function).
+        potential: Total potential [J] (or a residual, linear in a test function); or a
+            :class:`forms.Problem`, which comes with its unknown and supports.
         u: Unknown; holds the solution afterwards, or its old values if the solve fails.
         supports: Prescribed displacements.
         virtual_work: Linear form added to the residual, for loads without a potential.
@@ -54,7 +56,7 @@ def solve(
         ctol: Tolerance of the last correction relative to the model's size.
         projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
             see :class:`Newton`.
-        record: Functions of the system, evaluated at the solution; collective.
+        record: Functions of the problem, evaluated at the solution; collective.
         load: Load factor to be noted in the path and its files.
 
     Returns:
@@ -65,8 +67,9 @@ def solve(
         ValueError: forms or supports of the wrong kind.
     """
     check_record(record)
-    problem = system(potential, u, supports, virtual_work)
-    newton = Newton(problem, options, prefix, rtol, ctol, projection)
+    problem = problem_for(potential, u, supports, virtual_work)
+    u = problem.u
+    newton = newton_for(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem), time.perf_counter()
     before = u.x.array.copy()
     converged = False
@@ -76,8 +79,8 @@ def solve(
     finally:
         if not converged:
             u.x.array[:] = before
-            problem.update_dependents()
-        newton.destroy()
+            problem.rollback()
+        release(newton, converged)
     path.seconds = time.perf_counter() - start
     if not converged:
         shown = f"; -{prefix}snes_monitor shows each iteration" if outcome.iterations else ""
@@ -93,10 +96,10 @@ def solve(
 
 
 def follow(
-    potential: ufl.Form,
-    u: fem.Function,
-    supports: Iterable[Support],
-    t: fem.Constant,
+    potential: ufl.Form | Problem,
+    u: fem.Function | None = None,
+    supports: Iterable[Support] = (),
+    t: fem.Constant | None = None,
     to: float = 1.0,
     *,
     step: float | None = None,
@@ -108,7 +111,7 @@ def follow(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     projection: str = "auto",
-    record: Mapping[str, Callable[[System], Any]] | None = None,
+    record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     checkpoint: Checkpoint | None = None,
     progress: bool = True,
@@ -119,7 +122,8 @@ def follow(
     iterations lets the next one grow by half. Collective.
 
     Args:
-        potential: Total potential [J] (or a residual, linear in a test function).
+        potential: Total potential [J] (or a residual, linear in a test function); or a
+            :class:`forms.Problem`, which comes with its unknown and supports.
         u: Unknown, starting from its present values.
         supports: Prescribed displacements, which may depend on t.
         t: Load factor that the potential and the supports were written with.
@@ -134,7 +138,7 @@ def follow(
         ctol: Tolerance of the last correction relative to the model's size.
         projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
             see :class:`Newton`.
-        record: Functions of the system, evaluated after each step and kept in the path; collective.
+        record: Functions of the problem, evaluated after each step and kept; collective.
         on_step: Called with the path after each step, as a :class:`forms.VTX` writer.
         checkpoint: Where the path is saved, and taken up when the script is started again; see
             :class:`forms.Checkpoint`.
@@ -156,13 +160,14 @@ def follow(
         )
     walk = _Walk.start(float(t.value), to, step, min_step, max_step)
     check_record(record)
-    problem = system(potential, u, supports, virtual_work)
+    problem = problem_for(potential, u, supports, virtual_work)
+    u = problem.u
     if not problem.depends_on(t):
         raise ValueError(
             "nothing depends on the load factor t: write a load or a support with it, or use solve."
         )
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
-    newton = Newton(problem, options, prefix, rtol, ctol, projection)
+    newton = newton_for(problem, options, prefix, rtol, ctol, projection)
     path, start = Path(u, problem, begin=float(t.value)), time.perf_counter()
     bar = bar_of("load", 1.0, problem.comm, progress)
     past, reached = [_State(u.x.array.copy(), walk.done)], float(t.value)
@@ -216,10 +221,8 @@ def follow(
         # Whatever ended the path, Ctrl-C included: the last converged state is left behind.
         u.x.array[:] = past[0].values
         t.value = reached
-        for support in problem.supports:
-            support.update()
-        problem.update_dependents()
-        newton.destroy()
+        problem.rollback()
+        release(newton, walk.finished)
         bar.close()
         path.seconds = time.perf_counter() - start
     path.end(f"Load factor {reached:.6g} reached in {len(path.steps)} steps")
@@ -313,7 +316,7 @@ def _attempt(newton: Newton) -> Convergence:
 
 
 def _predict(newton: Newton) -> None:
-    for support in newton.system.supports:
+    for support in newton.problem.supports:
         support.update()
     newton.predict()
 
@@ -336,7 +339,7 @@ def _resume(saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Consta
     return [_State(*s) for s in zip(saved.states, saved.control["places"], strict=True)]
 
 
-def _extrapolate(problem: System, past: Sequence[_State], to: float) -> None:
+def _extrapolate(problem: Problem, past: Sequence[_State], to: float) -> None:
     """Move u on along the curve through the last states, if the energy stays finite there.
 
     Along the parabola through three of them where it bends little, else along the line through two.

@@ -14,9 +14,9 @@ from petsc4py import PETSc
 import numpy as np
 
 from .. import _petsc
-from ..assembly import System
 from ..differentiation import dependents
 from ..paths import REASONS, Convergence
+from ..problems import Problem
 from .damping import Damping
 from .finite import ADVICE, not_finite
 from .linear import presets
@@ -45,7 +45,7 @@ PROJECTIONS = ("auto", "always", "never")
 
 
 class Newton:
-    """SNES on a system, reused from load step to load step.
+    """SNES on a problem, reused from load step to load step.
 
     Converged means |R_free| <= rtol * force level and max |du| <= ctol * model size, du the last
     correction, or with iterative linear solves the next one to be expected. R_free are the
@@ -63,7 +63,7 @@ class Newton:
     iterations, damped ones MOST_DAMPED.
 
     Args:
-        system: What to solve.
+        problem: What to solve.
         options: PETSc options without prefix, over the presets; those in PETSc's database, and on
             the command line, win over both.
         prefix: Prefix of the options there, as in ``-variform_snes_monitor``. The solver's own
@@ -71,7 +71,7 @@ class Newton:
         rtol: Tolerance of the residual; the option snes_rtol goes over it, and snes_atol [N] sets
             an absolute one (none by default).
         ctol: Tolerance of the last correction, relative to the model's size.
-        projection: When to make the tangent positive semi-definite (:meth:`System.tangent`), so
+        projection: When to make the tangent positive semi-definite (:meth:`Problem.tangent`), so
             that its direction lowers the energy from any state: "auto", after the search along the
             full tangent's has failed, or at once where MUMPS counts more than a twentieth of its
             eigenvalues negative; "always", from the start; "never". Near the solution the full
@@ -83,7 +83,7 @@ class Newton:
 
     def __init__(
         self,
-        system: System,
+        problem: Problem,
         options: Mapping[str, Any] | None = None,
         prefix: str = "variform_",
         rtol: float = 1e-8,
@@ -93,29 +93,29 @@ class Newton:
         if projection not in PROJECTIONS:
             raise ValueError(f"projection is one of {', '.join(PROJECTIONS)}, got {projection!r}.")
         if projection == "always":
-            system.prepare_projection()
+            problem.prepare_projection()
         self.projection, self._projecting = projection, False
         self._known: tuple[np.ndarray, float] | None = None
         self._ruined = self._spoiled = False
         self._raised = ""
         self._damping: Damping | None = None
         self._left_multigrid = False
-        self.system, self.ctol = system, ctol
-        self.A, self.b = system.create_matrix(), system.create_vector()
+        self.problem, self.ctol = problem, ctol
+        self.A, self.b = problem.create_matrix(), problem.create_vector()
         self.x = self.b.duplicate()
         self._x_before = self.b.duplicate()
         self._options = SolverOptions(prefix, options, apart="bordered_")
         self._user = self._options.user
         self.rtol = float(self._user.get("snes_rtol", rtol))
         self.atol = float(self._user.get("snes_atol", 0.0))
-        self._preset = presets.preset(system, self.A)
+        self._preset = presets.preset(problem, self.A)
         self._solved = False
         self._imbalance: float | None = None
         self._reactions, self._correction = 0.0, np.inf
         self._last, self._floor = (np.inf, 0.0), 0.0
-        self.scaled = Scaled(system, self.A)
-        if system.minimization and system.is_displacement:
-            self.A.setNearNullSpace(rigid_modes(system.u.function_space))
+        self.scaled = Scaled(problem, self.A)
+        if problem.minimization and problem.is_displacement:
+            self.A.setNearNullSpace(rigid_modes(problem.u.function_space))
         self._build(self._preset)
 
     def _build(self, preset: Mapping[str, str]) -> None:
@@ -132,12 +132,12 @@ class Newton:
         # Where multigrid is kept, the tangent that it was built of is out of date on purpose. An
         # energy in singular values would find these anew at each product.
         matrix_free = own and preset.get("pc_type") == "mg"
-        matrix_free &= not dependents(self.system.tangent_ufl)
-        self._action = Action(self.system, self.A) if matrix_free else None
+        matrix_free &= not dependents(self.problem.forms.tangent_ufl)
+        self._action = Action(self.problem, self.A) if matrix_free else None
         self._options.apply({**base, **preset})
         self.snes = self._by_residual = self._create(None)
         self._full: PETSc.SNES | None = None
-        if self.system.minimization:
+        if self.problem.minimization:
             # An objective once set cannot be taken back; the factorization is shared.
             self._by_residual = self._create(self.snes.getKSP())
             self.snes.setObjective(self._objective)
@@ -148,10 +148,10 @@ class Newton:
             self._options["snes_linesearch_type"] = base["snes_linesearch_type"]
         self.snes.getKSP().setPostSolve(self._hold)
         ksp, chosen = self.snes.getKSP(), preset if own else {}
-        self._kept = Kept(self.system, ksp, chosen, self._options.prefix, self._user)
+        self._kept = Kept(self.problem, ksp, chosen, self._options.prefix, self._user)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
-        snes = PETSc.SNES().create(self.system.comm)
+        snes = PETSc.SNES().create(self.problem.comm)
         snes.setOptionsPrefix(self._options.prefix)
         snes.setFunction(self._residual, self.b.duplicate())
         snes.setJacobian(self._tangent, self._product, self.A)
@@ -171,7 +171,7 @@ class Newton:
 
         Collective. Call :meth:`predict` first when prescribed values have changed.
         """
-        system = self.system
+        problem = self.problem
         if self.scaled.rounding == 0:
             self.scaled.measure()
         if self._imbalance is None:
@@ -181,11 +181,11 @@ class Newton:
         self.scaled.get(self.x)
         self.scaled.prescribe(self.x)
         self.scaled.put(self.x)
-        if system.has_energy and not np.isfinite(system.energy()):
+        if problem.has_energy and not np.isfinite(problem.energy()):
             self._imbalance = None
             return Convergence(False, self._undefined(), -1, 0, 0, 0, np.inf, 0.0, np.inf)
         self._solved = True
-        objective = system.minimization
+        objective = problem.minimization
         self._projecting = self.projection == "always" or (self._ruined and self._may_project())
         self._near, self._stepping, self._ruined = NEAR, False, False
         start = self.x.copy()
@@ -216,7 +216,7 @@ class Newton:
                 # |R| is no measure of the distance where bending is much softer than stretching:
                 # full steps go where a descent of |R| creeps, from the start or from nearby.
                 objective, self._projecting, self._stepping = False, False, True
-                if not system.minimization:
+                if not problem.minimization:
                     start.copy(self.x)
             else:
                 break
@@ -230,17 +230,17 @@ class Newton:
         if outcome.converged or outcome.code != -3:
             return outcome
         self.scaled.tangent()
-        cause = not_finite(self.system, self.A)
+        cause = not_finite(self.problem, self.A)
         if cause:
             return replace(outcome, reason=cause, advice=ADVICE)
         return replace(outcome, reason=self._raised) if self._raised else outcome
 
     def _undefined(self) -> str:
         """Why the energy is not finite at the start, in words. Collective."""
-        system = self.system
-        if not all(np.all(np.isfinite(c.value)) for c in system.constants):
+        problem = self.problem
+        if not all(np.all(np.isfinite(c.value)) for c in problem.forms.constants):
             return f"{REASONS[-1]}: a Constant in the potential is {NAN}"
-        if not np.isfinite(system.u.x.petsc_vec.norm()):
+        if not np.isfinite(problem.u.x.petsc_vec.norm()):
             return f"{REASONS[-1]}: the unknown holds {NAN}"
         return f"{REASONS[-1]}: cells are inverted there, or a parameter is out of its range"
 
@@ -249,7 +249,7 @@ class Newton:
         if self.projection != "auto" or self._projecting:
             return False
         try:
-            self.system.prepare_projection()
+            self.problem.prepare_projection()
         except ValueError:
             return False
         return True
@@ -257,7 +257,7 @@ class Newton:
     def _may_step(self, outcome: Convergence) -> bool:
         """Whether full steps are to be tried: with an energy only from near the solution."""
         near = outcome.residual <= NEAR * outcome.force_level
-        return self._full is not None and (near or not self.system.minimization)
+        return self._full is not None and (near or not self.problem.minimization)
 
     def _may_damp(self) -> bool:
         """Whether the steps are damped, from now on if need be."""
@@ -269,7 +269,7 @@ class Newton:
         """Turn from the multigrid preset to MUMPS for good; False where it was not in use."""
         if not self._kept.used:
             return False
-        self._preset = presets.direct(self.system.symmetric)
+        self._preset = presets.direct(self.problem.symmetric)
         self._left_multigrid = True
         self._remake()
         return True
@@ -286,10 +286,10 @@ class Newton:
     def _is_ruined(self) -> bool:
         """Whether so much of the last tangent is negative that its step leads nowhere."""
         full = not self._projecting and (self._damping is None or self._damping.strength <= LIGHT)
-        if self.projection != "auto" or not (full and self.system.minimization):
+        if self.projection != "auto" or not (full and self.problem.minimization):
             return False
-        negative = inertia(self.snes.getKSP(), self.system)
-        return negative is not None and negative > RUINED * self.system.size
+        negative = inertia(self.snes.getKSP(), self.problem)
+        return negative is not None and negative > RUINED * self.problem.size
 
     def _drop_action(self) -> None:
         if self._action is not None:
@@ -298,7 +298,7 @@ class Newton:
 
     def memory(self) -> dict[str, Any]:
         """What is kept from one load to the next: damping, and that multigrid failed."""
-        damping, left = self._damping, presets.direct(self.system.symmetric) == self._preset
+        damping, left = self._damping, presets.direct(self.problem.symmetric) == self._preset
         return {"direct": left, "damping": damping and (damping.scale, damping.strength)}
 
     def renew(self) -> None:
@@ -321,7 +321,7 @@ class Newton:
         K du = -R at free degrees of freedom, du = prescribed - u at the others, so that SNES
         afterwards starts from exact boundary values and its residuals are forces only. Collective.
         """
-        system = self.system
+        problem = self.problem
         self._projecting = self.projection == "always"
         # Measuring leaves the tangent at u behind, which is that of the predictor.
         assembled = self.scaled.rounding == 0 and not (self._projecting or self.scaled.mixed)
@@ -336,17 +336,17 @@ class Newton:
         if jump.norm(PETSc.NormType.INFINITY) <= 1e3 * EPS * self.scaled.size:
             jump.destroy()
             return
-        system.lifted_residual(self.b)
+        problem.lifted_residual(self.b)
         self.b.pointwiseMult(self.b, self.scaled.D)
         self.b.scale(-1)
         # Not the jump itself, a length among forces: it is prescribed below.
-        self.b.array[system.constrained] = 0
+        self.b.array[problem.constrained] = 0
         start = self.x.copy()
         self._carry(self.b, assembled)
         for x in (self.x, start):  # without the carried step where that leaves no finite energy
             self.scaled.prescribe(x)
             self.scaled.put(x)
-            if not system.has_energy or np.isfinite(system.energy()):
+            if not problem.has_energy or np.isfinite(problem.energy()):
                 break
         jump.destroy()
         start.destroy()
@@ -432,7 +432,7 @@ class Newton:
         if self._action is not None:
             self._action.assembled = self._projecting or self._damping is not None
             if not self._action.assembled and not self._kept.due:
-                self.system.update_dependents()
+                self.problem.prepare()
                 self._kept.prepare(self.A)
                 return
         self.scaled.tangent(self._projecting)
@@ -454,20 +454,41 @@ class Newton:
     def _damp(self) -> None:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""
         force = self._imbalance or self._reactions or 1.0
-        self._damping = Damping(self.system, self.A, self.scaled.free, force / self.scaled.size)
+        self._damping = Damping(self.problem, self.A, self.scaled.free, force / self.scaled.size)
 
-    def destroy(self) -> None:
-        """Free the PETSc objects (their callbacks refer to this one) and this solver's options.
+    def begin(self) -> None:
+        """Forget what earlier solves have left, but for matrices and places: as if new. Collective.
 
-        Warns of options that PETSc never asked for.
+        So that a path is the same to the last digit whatever was solved before it.
         """
+        self._options.resume()
+        if self._damping is not None:
+            self._damping.destroy()
+            self._damping = None
+        self.scaled.begin()
+        if self._left_multigrid:
+            self._left_multigrid = False
+            self._preset = presets.preset(self.problem, self.A)
+            self._remake()
+        self._kept.begin()
+        self._ruined = self._spoiled = self._solved = False
+        self._imbalance, self._known = None, None
+        self._reactions, self._correction = 0.0, np.inf
+        self._last = np.inf, 0.0
+
+    def rest(self) -> None:
+        """End a use, until :meth:`begin`; warns of options that PETSc never asked for."""
         unused = self._options.unused()
         if unused and self._solved:
             warnings.warn(
                 f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
                 "for another solver?",
-                stacklevel=2,
+                stacklevel=4,
             )
+        self._options.rest()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects (their callbacks refer to this one) and this solver's options."""
         self._options.clear()
         self._kept.destroy()
         self._drop_action()
@@ -536,23 +557,23 @@ class Newton:
         damped = self._damping is not None and self._damping.strength > LIGHT
         if self._projecting or damped:
             return None
-        return inertia(self.snes.getKSP(), self.system)
+        return inertia(self.snes.getKSP(), self.problem)
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
         # A line search begins with the energy of the state at which the last one ended.
         known = self._known is not None and np.array_equal(self._known[0], x.array_r)
-        if not self.system.comm.allreduce(known, MPI.LAND):
+        if not self.problem.comm.allreduce(known, MPI.LAND):
             self.scaled.put(x)
-            self._known = x.array_r.copy(), self.system.energy()
+            self._known = x.array_r.copy(), self.problem.energy()
         assert self._known is not None
         return self._known[1]
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        system = self.system
+        problem = self.problem
         self.scaled.put(x)
         # A state without a finite energy is refused also where the search goes by |R|: ln J with
         # J < 0 spoils the energy before every part of the residual.
-        valid = self._energetic or not system.has_energy or np.isfinite(system.energy())
+        valid = self._energetic or not problem.has_energy or np.isfinite(problem.energy())
         self._reactions = self.scaled.residual(self.b)
         self.b.copy(f)
         if not valid:
@@ -564,7 +585,7 @@ class Newton:
 
     def _hold(self, ksp: PETSc.KSP, b: PETSc.Vec, step: PETSc.Vec) -> None:
         """Keep supports exact: multigrid's coarse levels may move them by its tolerance."""
-        step.array[self.system.constrained] = 0
+        step.array[self.problem.constrained] = 0
         if self._spoiled:
             step.set(0)
         self._kept.count()

@@ -46,7 +46,8 @@ class SolverOptions:
         if apart:
             outside = {k: v for k, v in outside.items() if not k.startswith(apart)}
         self.user = {**(options or {}), **outside}
-        self._present: set[str] = set()
+        self._present: dict[str, Any] = {}
+        self._used: set[str] = set()
 
     def apply(self, presets: Mapping[str, str]) -> None:
         """Put presets, and the user's options over them, in the place of those put before."""
@@ -57,17 +58,31 @@ class SolverOptions:
     def __setitem__(self, name: str, value: Any) -> None:
         """Set one option of this solver."""
         PETSc.Options()[self.prefix + name] = value
-        self._present.add(name)
+        self._present[name] = value
 
     def unused(self) -> list[str]:
         """Options of the user that PETSc has not asked for."""
-        return [n for n in self.user if not _petsc.option_was_used(self.prefix + n)]
+        self._note_used()
+        return [name for name in self.user if name not in self._used]
 
-    def clear(self) -> None:
-        """Take the solver's own options back."""
+    def rest(self) -> None:
+        """Take the options out of the database, as long as the solver is not in use."""
+        self._note_used()
         for name in self._present:
             PETSc.Options().delValue(self.prefix + name)
-        self._present = set()
+
+    def resume(self) -> None:
+        """Put them back: some preconditioners ask for theirs at each set-up."""
+        for name, value in self._present.items():
+            PETSc.Options()[self.prefix + name] = value
+
+    def clear(self) -> None:
+        """Take the solver's own options back for good."""
+        self.rest()
+        self._present = {}
+
+    def _note_used(self) -> None:
+        self._used |= {n for n in self._present if _petsc.option_was_used(self.prefix + n)}
 
 
 def _stored(prefix: str, apart: str) -> dict[str, str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A system in one unit: fields of mixed unknowns scaled, so that every equation is a force."""
+"""A problem in one unit: fields of mixed unknowns scaled, so that every equation is a force."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._parallel import bounding_box
-from ..assembly import System
+from ..problems import Problem
 from ..unknowns import Field
 from .linear.diagonal import has_positive, typical_diagonal
 
@@ -18,7 +18,7 @@ EPS = float(np.finfo(float).eps)
 
 
 class Scaled:
-    """Residual and tangent of a system in y, where u = D y: D R and D K D.
+    """Residual and tangent of a problem in y, where u = D y: D R and D K D.
 
     D is 1 for displacements and s = typical K_ii / h^(d - 1) [Pa] for pressures and multipliers, h
     a typical cell's size; of a field that is minimized over it makes the typical entry of its own
@@ -26,8 +26,8 @@ class Scaled:
     the tangent stiffnesses, in any units.
 
     Args:
-        system: What is scaled.
-        A: Matrix for the system's tangent, in which the stiffness is measured at the start.
+        problem: What is scaled.
+        A: Matrix for the problem's tangent, in which the stiffness is measured at the start.
 
     Attributes:
         size: Diagonal of the mesh's bounding box [m].
@@ -38,30 +38,39 @@ class Scaled:
             It is the body's; :meth:`floor` adds that of stiff springs.
     """
 
-    def __init__(self, system: System, A: PETSc.Mat) -> None:
-        self.system, self.A = system, A
-        low, high = bounding_box(system.comm, system.u.function_space.mesh.geometry.x)
-        self.size = float(np.linalg.norm(high - low))
-        moves = system.displacement or next(iter(system.fields.values()))
+    def __init__(self, problem: Problem, A: PETSc.Mat) -> None:
+        self.problem, self.A = problem, A
+        self.size = self._size()
+        moves = problem.displacement or next(iter(problem.fields.values()))
         self.displacements = moves.dofs
         self.others = np.setdiff1d(np.arange(A.getLocalSize()[0]), self.displacements)
-        self._beside = [field for field in system.fields.values() if field is not moves]
-        self.free = np.setdiff1d(self.displacements, system.constrained)
-        self.D = system.create_vector()
+        self._beside = [field for field in problem.fields.values() if field is not moves]
+        self.free = np.setdiff1d(self.displacements, problem.constrained)
+        self.D = problem.create_vector()
         self.D.set(1)
         self.mixed = bool(self._beside)
         self.rounding = 0.0
         self._stiffness = np.empty(0)
         self._minimized: list[NDArray[np.int32]] = []
 
+    def begin(self) -> None:
+        """Measure anew at the next state. Collective."""
+        self.D.set(1)
+        self.rounding, self.size = 0.0, self._size()
+
+    def _size(self) -> float:
+        mesh = self.problem.u.function_space.mesh
+        low, high = bounding_box(self.problem.comm, mesh.geometry.x)
+        return float(np.linalg.norm(high - low))
+
     def measure(self) -> None:
         """Find the forces' rounding error, and the scale of a pressure, at u. Collective."""
-        system = self.system
-        system.tangent(self.A)
+        problem = self.problem
+        problem.tangent(self.A)
         diagonal = typical_diagonal(self.A, self.free)
-        self.rounding = EPS * diagonal * self.size * np.sqrt(system.size)
+        self.rounding = EPS * diagonal * self.size * np.sqrt(problem.size)
         self._stiffness = np.abs(self.A.getDiagonal().array_r[self.free])
-        mesh = system.u.function_space.mesh
+        mesh = problem.u.function_space.mesh
         if diagonal > 0:
             dim = mesh.topology.dim
             h = self.size / mesh.topology.index_map(dim).size_global ** (1 / dim)
@@ -69,14 +78,14 @@ class Scaled:
             for field in self._beside:
                 scale = diagonal / h ** (dim - 1)
                 if self._is_minimized_over(field):
-                    own = typical_diagonal(self.A, np.setdiff1d(field.dofs, system.constrained))
+                    own = typical_diagonal(self.A, np.setdiff1d(field.dofs, problem.constrained))
                     scale = np.sqrt(diagonal / own) if own > 0 else 1.0
                 self.D.array[field.dofs] = scale
 
     def _is_minimized_over(self, field: Field) -> bool:
         """Whether a field has stiffness of its own; collective where its role does not say."""
         if field.role.curvature == "?":
-            return has_positive(self.A, np.setdiff1d(field.dofs, self.system.constrained))
+            return has_positive(self.A, np.setdiff1d(field.dofs, self.problem.constrained))
         return field.role.curvature == "+"
 
     def correction(self, x: PETSc.Vec, before: PETSc.Vec) -> float:
@@ -87,10 +96,10 @@ class Scaled:
         """
         change = np.abs(x.array_r - before.array_r)
         largest = float(change[self.displacements].max(initial=0.0))
-        largest = self.system.comm.allreduce(largest, MPI.MAX)
+        largest = self.problem.comm.allreduce(largest, MPI.MAX)
         for dofs in self._minimized:
             values = np.abs(x.array_r[dofs]).max(initial=0.0), change[dofs].max(initial=0.0)
-            level, moved = (self.system.comm.allreduce(float(v), MPI.MAX) for v in values)
+            level, moved = (self.problem.comm.allreduce(float(v), MPI.MAX) for v in values)
             relative = moved / level * self.size if level > 0 else np.inf
             largest = max(largest, min(moved, relative))
         return float(largest)
@@ -100,25 +109,25 @@ class Scaled:
 
         A stiff spring between u and a place that moves resists what u is rounded by. Collective.
         """
-        own = self._stiffness * self.system.u.x.array[self.free]
+        own = self._stiffness * self.problem.u.x.array[self.free]
         with np.errstate(over="ignore", invalid="ignore"):
-            springs = EPS * np.sqrt(self.system.comm.allreduce(float(own @ own)))
+            springs = EPS * np.sqrt(self.problem.comm.allreduce(float(own @ own)))
         return max(self.rounding, float(springs)) if np.isfinite(springs) else self.rounding
 
     def residual(self, b: PETSc.Vec) -> float:
         """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
-        self.system.residual(b)
+        self.problem.residual(b)
         b.pointwiseMult(b, self.D)
-        held = b.array_r[self.system.constrained]
+        held = b.array_r[self.problem.constrained]
         # A trial state may be so far off that its forces overflow; it is refused as not finite.
         with np.errstate(over="ignore", invalid="ignore"):
-            reactions = np.sqrt(self.system.comm.allreduce(float(held @ held)))
-        b.array[self.system.constrained] = 0
+            reactions = np.sqrt(self.problem.comm.allreduce(float(held @ held)))
+        b.array[self.problem.constrained] = 0
         return float(reactions)
 
     def tangent(self, projected: bool = False) -> None:
         """Assemble the tangent into A. Collective."""
-        self.system.tangent(self.A, projected)
+        self.problem.tangent(self.A, projected)
         if self.mixed:
             self.A.diagonalScale(self.D, self.D)
 
@@ -130,23 +139,23 @@ class Scaled:
         diagonal = self.A.getDiagonal()
         finite = bool(np.all(np.isfinite(diagonal.array_r)))
         diagonal.destroy()
-        return bool(self.system.comm.allreduce(finite, MPI.LAND))
+        return bool(self.problem.comm.allreduce(finite, MPI.LAND))
 
     def prescribe(self, y: PETSc.Vec) -> None:
         """Put the prescribed values, scaled, into a state; local."""
-        held = self.system.constrained
-        self.system.prescribe(y)
+        held = self.problem.constrained
+        self.problem.prescribe(y)
         y.array[held] = y.array_r[held] / self.D.array_r[held]
 
     def put(self, y: PETSc.Vec) -> None:
         """Copy D y into the unknown, ghosts included."""
-        target = self.system.u.x.petsc_vec
+        target = self.problem.u.x.petsc_vec
         target.pointwiseMult(y, self.D)
         target.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
 
     def get(self, y: PETSc.Vec) -> None:
         """Copy the unknown into y."""
-        y.pointwiseDivide(self.system.u.x.petsc_vec, self.D)
+        y.pointwiseDivide(self.problem.u.x.petsc_vec, self.D)
 
     def destroy(self) -> None:
         """Free the scale."""

@@ -14,28 +14,28 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from ..assembly import System
+from ..problems import Problem
 from .finite import ADVICE, not_finite
 from .linear.diagonal import pressures, typical_diagonal
 
 
-def negative_eigenvalues(system: System) -> int:
+def negative_eigenvalues(problem: Problem) -> int:
     """Number of negative eigenvalues of the tangent at u; 0 where the state is stable. Collective.
 
     By Sylvester's law from the pivots of an LDL^T factorization. To be used as a record:
     ``record={"unstable": forms.negative_eigenvalues}``.
 
     Args:
-        system: System (of ``path.system``), or a path.
+        problem: Problem, or a path.
 
     Raises:
         ValueError: the problem has no potential, so that its tangent is not symmetric.
     """
-    system = getattr(system, "system", system)
-    _check_symmetric(system)
-    A = _finite_tangent(system)
+    problem = getattr(problem, "problem", problem)
+    _check_symmetric(problem)
+    A = _finite_tangent(problem)
     ksp = _factored(A)
-    count = inertia(ksp, system)
+    count = inertia(ksp, problem)
     ksp.destroy()
     A.destroy()
     if count is None:
@@ -43,25 +43,25 @@ def negative_eigenvalues(system: System) -> int:
     return count
 
 
-def _finite_tangent(system: System) -> PETSc.Mat:
+def _finite_tangent(problem: Problem) -> PETSc.Mat:
     """The assembled tangent at u. Collective.
 
     Raises:
         ValueError: it is not finite.
     """
-    A = system.create_matrix()
-    system.tangent(A)
-    cause = not_finite(system, A)
+    A = problem.create_matrix()
+    problem.tangent(A)
+    cause = not_finite(problem, A)
     if cause:
         raise ValueError(f"{cause}. {ADVICE}")
     return A
 
 
-def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Function]]:
+def lowest_modes(problem: Problem, n: int = 1) -> tuple[list[float], list[fem.Function]]:
     """Lowest eigenvalues of the tangent at u, K v = lambda v, with their modes. Collective.
 
     Args:
-        system: System (of ``path.system``), or a path.
+        problem: Problem, or a path.
         n: How many.
 
     Returns:
@@ -72,9 +72,9 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
         ValueError: no potential of displacements alone, or n below 1.
         ImportError: slepc4py is missing.
     """
-    system = getattr(system, "system", system)
-    _check_symmetric(system)
-    if len(system.fields) > 1:
+    problem = getattr(problem, "problem", problem)
+    _check_symmetric(problem)
+    if len(problem.fields) > 1:
         raise ValueError("lowest_modes needs a displacement unknown, got a mixed one.")
     if not n >= 1:
         raise ValueError(f"lowest_modes needs n >= 1 modes, got {n}.")
@@ -85,13 +85,13 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
             "lowest_modes needs slepc4py, which is not installed: install Debian's "
             "python3-slepc4py, or variform's extra 'modes' beside a SLEPc of PETSc's version."
         ) from error
-    A = _finite_tangent(system)
-    free = np.setdiff1d(np.arange(A.getLocalSize()[0]), system.constrained)
+    A = _finite_tangent(problem)
+    free = np.setdiff1d(np.arange(A.getLocalSize()[0]), problem.constrained)
     typical = typical_diagonal(A, free)
     diagonal = A.getDiagonal()
-    diagonal.array[system.constrained] = 1e6 * typical  # not among the lowest ones
+    diagonal.array[problem.constrained] = 1e6 * typical  # not among the lowest ones
     A.setDiagonal(diagonal)
-    solver = SLEPc.EPS().create(system.comm)
+    solver = SLEPc.EPS().create(problem.comm)
     solver.setOperators(A)
     solver.setProblemType(SLEPc.EPS.ProblemType.HEP)
     solver.setDimensions(n)
@@ -113,32 +113,32 @@ def lowest_modes(system: System, n: int = 1) -> tuple[list[float], list[fem.Func
     for k in range(n):
         values.append(float(solver.getEigenvalue(k).real))
         solver.getEigenvector(k, vector)
-        modes.append(_mode(system, vector))
+        modes.append(_mode(problem, vector))
     for item in (solver, vector, A):
         item.destroy()
     order = np.argsort(values)
     return [values[k] for k in order], [modes[k] for k in order]
 
 
-def inertia(ksp: PETSc.KSP, system: System) -> int | None:
+def inertia(ksp: PETSc.KSP, problem: Problem) -> int | None:
     """Negative eigenvalues of the matrix last factorized, those of pressures left out. Collective.
 
     None where the solver has no LDL^T factors of MUMPS.
     """
     pc = ksp.getPC()
     counted = pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
-    if not counted or not system.symmetric or ksp.getConvergedReason() < 0:
+    if not counted or not problem.symmetric or ksp.getConvergedReason() < 0:
         return None
-    return _negative_pivots(pc) - pressures(system, ksp.getOperators()[1])
+    return _negative_pivots(pc) - pressures(problem, ksp.getOperators()[1])
 
 
-def _mode(system: System, vector: PETSc.Vec) -> fem.Function:
-    mode = fem.Function(system.u.function_space, name="mode")
+def _mode(problem: Problem, vector: PETSc.Vec) -> fem.Function:
+    mode = fem.Function(problem.u.function_space, name="mode")
     vector.copy(mode.x.petsc_vec)
     mode.x.scatter_forward()
     owned = vector.array_r
     at = int(np.abs(owned).argmax()) if owned.size else 0
-    peaks = system.comm.allgather(float(owned[at]) if owned.size else 0.0)
+    peaks = problem.comm.allgather(float(owned[at]) if owned.size else 0.0)
     peak = max(peaks, key=abs)
     mode.x.array[:] /= peak
     mode.x.array[np.abs(mode.x.array) < 1e-12] = 0
@@ -183,8 +183,8 @@ def _use_mumps(ksp: PETSc.KSP) -> None:
     pc.setFactorSolverType("mumps")
 
 
-def _check_symmetric(system: System) -> None:
-    if not system.symmetric:
+def _check_symmetric(problem: Problem) -> None:
+    if not problem.symmetric:
         raise ValueError(
             "eigenvalues of the tangent tell of stability where there is a potential, got a "
             "virtual work or a residual."

@@ -7,43 +7,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._parallel import bounding_box
-from ..assembly import System
 from ..paths import NotConverged, Path
+from ..problems import Problem
 
 Array = NDArray[np.float64]
 HELD = 1e-8  # share of a held motion below which it counts as free
 
 
-def free_motions(system: System) -> list[str]:
+def free_motions(problem: Problem) -> list[str]:
     """Rigid motions that neither supports nor springs resist at u, in words. Collective.
 
     Supports are looked at alone first; of the motions they leave free those are named that the
     tangent does not resist either, |K v| <= 1e-8 |K| |v|.
 
     Args:
-        system: System, at a state without large rotations.
+        problem: Problem, at a state without large rotations.
 
     Returns:
         Entries as "translation along x" and "rotation about the axis along z through (0, 0, 0)";
         empty where the body is held.
     """
-    field = system.displacement
+    field = problem.displacement
     if field is None:
         return []
     W, numbers = field.collapsed
     dim = W.mesh.geometry.dim
-    low, high = bounding_box(system.comm, W.mesh.geometry.x)
+    low, high = bounding_box(problem.comm, W.mesh.geometry.x)
     center, size = (low + high) / 2, float(np.linalg.norm(high - low))
     owned = W.dofmap.index_map.size_local
     x = np.asarray((W.tabulate_dof_coordinates()[:owned] - center) / size, np.float64)
     modes = _modes(x, dim)
     dofs = numbers[: owned * dim]
-    held = np.isin(dofs, system.constrained)
-    resisted = system.comm.allreduce(modes[held].T @ modes[held])
+    held = np.isin(dofs, problem.constrained)
+    resisted = problem.comm.allreduce(modes[held].T @ modes[held])
     values, vectors = np.linalg.eigh(resisted)
     free = vectors[:, values <= HELD * max(values.max(), 1.0)]
     if free.size:
-        free = free @ _not_resisted(system, modes @ free, dofs)
+        free = free @ _not_resisted(problem, modes @ free, dofs)
     return _named(_pad(free, dim), center, size) if free.size else []
 
 
@@ -58,10 +58,10 @@ def _modes(x: Array, dim: int) -> Array:
     return modes.reshape(len(x) * dim, -1)
 
 
-def _not_resisted(system: System, motions: Array, dofs: NDArray) -> Array:
+def _not_resisted(problem: Problem, motions: Array, dofs: NDArray) -> Array:
     """Combinations (columns) of motions that the tangent does not resist."""
-    A, b = system.create_matrix(), system.create_vector()
-    system.tangent(A)
+    A, b = problem.create_matrix(), problem.create_vector()
+    problem.tangent(A)
     images = []
     x = b.duplicate()
     for motion in motions.T:
@@ -69,11 +69,11 @@ def _not_resisted(system: System, motions: Array, dofs: NDArray) -> Array:
         x.array[dofs] = motion
         A.mult(x, b)
         images.append(b.array_r.copy())
-    largest = A.norm() / np.sqrt(max(system.size, 1)) or 1.0
+    largest = A.norm() / np.sqrt(max(problem.size, 1)) or 1.0
     for item in (A, b, x):
         item.destroy()
     F = np.array(images).T / largest
-    M = system.comm.allreduce(np.stack([F.T @ F, motions.T @ motions]))
+    M = problem.comm.allreduce(np.stack([F.T @ F, motions.T @ motions]))
     if not np.all(np.isfinite(M)):
         return np.empty((motions.shape[1], 0))
     values, vectors = np.linalg.eigh(M[0])
@@ -130,7 +130,7 @@ def failure(path: Path, sentence: str, advice: str = "") -> NotConverged:
     Where rigid motions are left that nothing holds, they are the cause, and named in place of the
     advice. Called with the unknown at the last converged state.
     """
-    free = free_motions(path.system)
+    free = free_motions(path.problem)
     if free:
         advice = (
             f"Nothing holds the body against {', '.join(free)}: add a support, a pin or a spring."

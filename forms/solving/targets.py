@@ -12,9 +12,9 @@ from petsc4py import PETSc
 import ufl
 from dolfinx import fem
 
-from ..assembly import System
 from ..compilation import compiled
 from ..paths import Path, Step, check_record, recorded
+from ..problems import Problem
 from ..quadrature import with_quadrature
 from ..supports import Support
 from ..variation import residual
@@ -37,7 +37,7 @@ def control(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     max_iterations: int = 30,
-    record: Mapping[str, Callable[[System], Any]] | None = None,
+    record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     progress: bool = True,
 ) -> Path:
@@ -60,7 +60,7 @@ def control(
             its target (or to its change from the start, where the target is 0).
         ctol: Tolerance of the last correction relative to the model's size.
         max_iterations: Newton iterations per step.
-        record: Functions of the system, evaluated after each step.
+        record: Functions of the problem, evaluated after each step.
         on_step: Called with the path after each step.
         progress: Show a progress bar on rank 0.
 
@@ -72,20 +72,20 @@ def control(
         ValueError: the potential does not contain q, or the functional does not depend on u.
     """
     check_record(record)
-    problem = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    held = _Held(problem, functional)
-    path, start = Path(u, problem.system, begin=problem.load), time.perf_counter()
+    bordered = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
+    held = _Held(bordered, functional)
+    path, start = Path(u, bordered.problem, begin=bordered.load), time.perf_counter()
     reached = held.measure()
-    before, load = u.x.array.copy(), problem.load
-    bar = bar_of("control", len(targets), problem.system.comm, progress)
+    before, load = u.x.array.copy(), bordered.load
+    bar = bar_of("control", len(targets), bordered.problem.comm, progress)
     try:
         for target in map(float, targets):
             part, halvings = 1.0, 0
             while reached != target:
                 held.aim = target if part == 1 else reached + part * (target - reached)
-                outcome = problem.solve(held)
+                outcome = bordered.solve(held)
                 if outcome.converged:
-                    before, load, reached, part = u.x.array.copy(), problem.load, held.aim, 1.0
+                    before, load, reached, part = u.x.array.copy(), bordered.load, held.aim, 1.0
                     continue
                 path.refused += 1
                 u.x.array[:], q.value = before, load
@@ -97,7 +97,7 @@ def control(
                         "last converged state is kept.",
                         outcome.advice or "Give targets that lie closer.",
                     )
-            notes = recorded(record, problem.system)
+            notes = recorded(record, bordered.problem)
             path.steps.append(Step(load, outcome, {"target": target, **notes}))
             bar.update()
             bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
@@ -105,8 +105,8 @@ def control(
                 on_step(path)
     finally:
         u.x.array[:], q.value = before, load
-        problem.system.update_dependents()
-        problem.destroy()
+        bordered.problem.prepare()
+        bordered.destroy()
         bar.close()
         path.seconds = time.perf_counter() - start
     path.end(f"All {len(path.steps)} targets reached")
@@ -116,18 +116,18 @@ def control(
 class _Held:
     """The constraint functional(u, q) = aim."""
 
-    def __init__(self, problem: Bordered, functional: ufl.Form) -> None:
-        self.problem = problem
-        functional = with_quadrature(functional, problem.degree)
+    def __init__(self, bordered: Bordered, functional: ufl.Form) -> None:
+        self.bordered = bordered
+        functional = with_quadrature(functional, bordered.degree)
         self._g = compiled(functional)
-        self._g_u = compiled(residual(functional, problem.system.u))
-        g_q = by_constant(functional, problem.q)
+        self._g_u = compiled(residual(functional, bordered.problem.u))
+        g_q = by_constant(functional, bordered.q)
         self._g_q = None if g_q.empty() else compiled(g_q)
         self.start = self.aim = self.measure()
 
     def measure(self) -> float:
         """The functional at the present state."""
-        return self.problem.integral(self._g)
+        return self.bordered.integral(self._g)
 
     @property
     def scale(self) -> float:
@@ -137,5 +137,5 @@ class _Held:
         return self.measure() - self.aim
 
     def gradient(self, g_u: PETSc.Vec) -> float:
-        self.problem.assemble(self._g_u, g_u)
-        return self.problem.integral(self._g_q) if self._g_q is not None else 0.0
+        self.bordered.assemble(self._g_u, g_u)
+        return self.bordered.integral(self._g_q) if self._g_q is not None else 0.0

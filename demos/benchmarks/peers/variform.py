@@ -48,7 +48,7 @@ def main():
     about = {"dofs": u.function_space.dofmap.index_map.size_global * 3, "ranks": COMM.size}
     about |= {"version": metadata.version("fenics-dolfinx"), "solver": given.solver}
     if given.assemble:
-        row = assemble(given.assemble, forms.system(potential, u, [fixed, twist]), u)
+        row = assemble(given.assemble, forms.Problem(potential, u, [fixed, twist]), u)
         if COMM.rank == 0:
             report(f"variform {given.energy}", given, Clock(), **about, **row)
         return
@@ -56,9 +56,9 @@ def main():
     first = 1 if given.solver == "one-step" else 1 / STEPS
     tight = {"rtol": 1e-12} if given.solver == "reference" else {}
     with clock("compile"):
-        forms.system(potential, u, [fixed, twist])
+        forms.Problem(potential, u, [fixed, twist])
     with clock("set-up"):  # as the path below does it again, everything being in the cache
-        forms.system(potential, u, [fixed, twist])
+        forms.Problem(potential, u, [fixed, twist])
     with clock("solve loop"):
         path = forms.follow(
             potential,

@@ -10,8 +10,8 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 
-from ...assembly import System
 from ...compilation import compiled
+from ...problems import Problem
 
 
 class Action:
@@ -21,7 +21,7 @@ class Action:
     assembling one at each iteration; supported rows and columns are those of identity.
 
     Args:
-        system: Problem whose tangent it is.
+        problem: Problem whose tangent it is.
         A: Matrix for the assembled tangent.
 
     Attributes:
@@ -30,21 +30,21 @@ class Action:
             product is then with A.
     """
 
-    def __init__(self, system: System, A: PETSc.Mat) -> None:
-        self.assembled, self._system, self._A = True, system, A
-        V = system.u.function_space
+    def __init__(self, problem: Problem, A: PETSc.Mat) -> None:
+        self.assembled, self._problem, self._A = True, problem, A
+        V = problem.u.function_space
         self._x = fem.Function(V)
-        self._form = compiled(ufl.action(system.tangent_ufl, self._x))
-        held = [bc.dof_indices()[0] for bc in system.conditions]
+        self._form = compiled(ufl.action(problem.forms.tangent_ufl, self._x))
+        held = [bc.dof_indices()[0] for bc in problem.conditions]
         self._held = np.unique(np.concatenate([*held, np.empty(0, np.int32)]).astype(np.int32))
-        self._y = system.create_vector()
+        self._y = problem.create_vector()
         self.matrix = PETSc.Mat().createPython(A.getSizes(), _Shell(self), comm=A.comm)
         self.matrix.setBlockSize(A.getBlockSize())
-        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, system.symmetric)
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, problem.symmetric)
         self.matrix.setUp()
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Put K x, K at the system's u, into y. Collective."""
+        """Put K x, K at the problem's u, into y. Collective."""
         if self.assembled:
             self._A.mult(x, y)
             return
@@ -57,7 +57,7 @@ class Action:
         fem_petsc.assemble_vector(self._y, self._form)
         self._y.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         y.array[:] = self._y.array_r
-        y.array[self._system.constrained] = x.array_r[self._system.constrained]
+        y.array[self._problem.constrained] = x.array_r[self._problem.constrained]
 
     def destroy(self) -> None:
         """Free the matrix, which refers to this one."""

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from ...assembly import System
+from ...problems import Problem
 
 
 def typical_diagonal(A: PETSc.Mat, free: np.ndarray) -> float:
@@ -22,24 +22,24 @@ def typical_diagonal(A: PETSc.Mat, free: np.ndarray) -> float:
     return float(np.exp(total / count)) if count else 0.0
 
 
-def pressures(system: System, A: PETSc.Mat) -> int:
+def pressures(problem: Problem, A: PETSc.Mat) -> int:
     """Degrees of freedom of pressures and other multipliers, that are not supported. Collective.
 
     By the roles of the fields; of one without a declared role the block -C of the tangent has no
     positive entry on its diagonal. Each of them makes one eigenvalue negative.
 
     Args:
-        system: System of one field or several.
+        problem: Problem of one field or several.
         A: Its assembled tangent, scaled or not.
     """
     total = 0
-    for field in system.fields.values():
+    for field in problem.fields.values():
         if field.role.curvature == "+":
             continue
-        own = np.setdiff1d(field.dofs, system.constrained)
+        own = np.setdiff1d(field.dofs, problem.constrained)
         if field.role.curvature == "?" and has_positive(A, own):
             continue
-        total += int(system.comm.allreduce(len(own)))
+        total += int(problem.comm.allreduce(len(own)))
     return total
 
 

@@ -11,8 +11,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from ...assembly import System
 from ...compilation import compiled
+from ...problems import Problem
 from .order import OrderMultigrid
 
 LEAST = 1e-8  # of the mean, of the weights of the pressure's mass matrix
@@ -34,17 +34,17 @@ class FieldSplit:
     either keeps all of them or none, while here the coarse operators alone are kept.
 
     Args:
-        system: Problem whose unknown is a displacement of degree 2 or more and a scalar.
+        problem: Problem whose unknown is a displacement of degree 2 or more and a scalar.
         ksp: Solver whose preconditioner this is.
         prefix: Prefix of options; those for the pressure's sweep begin with ``pressure_``.
     """
 
-    def __init__(self, system: System, ksp: PETSc.KSP, prefix: str) -> None:
-        W = system.u.function_space
+    def __init__(self, problem: Problem, ksp: PETSc.KSP, prefix: str) -> None:
+        W = problem.u.function_space
         self._comm, self._prefix = W.mesh.comm, prefix
-        moves = system.displacement
+        moves = problem.displacement
         assert moves is not None
-        (other,) = (f for f in system.fields.values() if f is not moves)
+        (other,) = (f for f in problem.fields.values() if f is not moves)
         (self._V, numbers), (self._Q, pressures) = moves.collapsed, other.collapsed
         owned = self._V.dofmap.index_map.size_local * self._V.dofmap.bs
         # Index sets have to be sorted, and the numbers in collapsed spaces are others.
@@ -53,7 +53,7 @@ class FieldSplit:
         owned = self._Q.dofmap.index_map.size_local
         self._rank = np.argsort(np.argsort(pressures[:owned]))
         self._p = np.sort(pressures[:owned])
-        self._held = np.flatnonzero(np.isin(self._u, system.constrained)).astype(np.int32)
+        self._held = np.flatnonzero(np.isin(self._u, problem.constrained)).astype(np.int32)
         first = W.dofmap.index_map.local_range[0]
         self._sets = [
             PETSc.IS().createGeneral((own + first).astype(PETSc.IntType), comm=self._comm)

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from ...assembly import System
+from ...problems import Problem
 from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
@@ -39,7 +39,7 @@ class Kept:
     tolerance (an inexact Newton method), the last one as far as it takes to get below the goal.
 
     Args:
-        system: Problem that is solved.
+        problem: Problem that is solved.
         ksp: Solver with its options set.
         preset: Options in use that are the package's own; empty where the user chose.
         prefix: Prefix of the options.
@@ -55,7 +55,7 @@ class Kept:
 
     def __init__(
         self,
-        system: System,
+        problem: Problem,
         ksp: PETSc.KSP,
         preset: Mapping[str, str],
         prefix: str,
@@ -66,13 +66,13 @@ class Kept:
         self._blocks: FieldSplit | None = None
         kind = preset.get("pc_type") if self.used else None
         if kind == "mg":
-            V = system.u.function_space
-            self._levels = OrderMultigrid(V, system.constrained, ksp, prefix)
+            V = problem.u.function_space
+            self._levels = OrderMultigrid(V, problem.constrained, ksp, prefix)
         elif kind == "python":
-            self._blocks = FieldSplit(system, ksp, prefix)
+            self._blocks = FieldSplit(problem, ksp, prefix)
         self._ksp, self.stale, self.due, self._first = ksp, False, True, 0.0
-        self._system = system
-        self.slow, self._small = False, system.size <= FACTORIZED_UP_TO
+        self._problem = problem
+        self.slow, self._small = False, problem.size <= FACTORIZED_UP_TO
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
         self._asked = self._rtol
@@ -93,8 +93,13 @@ class Kept:
             most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
         ksp.setTolerances(rtol=self._asked, max_it=most)
         if not self.stale:
-            with _faster_products(ksp, self._system):
+            with _faster_products(ksp, self._problem):
                 ksp.setUp()
+
+    def begin(self) -> None:
+        """Forget how earlier solves went, and build anew at the next tangent."""
+        self.stale, self.due, self.slow = False, True, False
+        self._first, self.goal, self._asked = 0.0, 0.0, self._rtol
 
     def renew(self) -> None:
         """Build anew at the next tangent."""
@@ -132,14 +137,14 @@ class Kept:
 
 
 @contextmanager
-def _faster_products(ksp: PETSc.KSP, system: System) -> Iterator[None]:
+def _faster_products(ksp: PETSc.KSP, problem: Problem) -> Iterator[None]:
     """Coarse operators by two products instead of PETSc's default, a third of the set-up less.
 
     On one rank, where PETSc has this way, and where its memory does not matter; PETSc reads the
     option without a prefix.
     """
     options, name = PETSc.Options(), "matptap_via"
-    small = ksp.comm.size == 1 and system.size <= TWO_PRODUCTS_UP_TO
+    small = ksp.comm.size == 1 and problem.size <= TWO_PRODUCTS_UP_TO
     ours = small and not options.hasName(name)
     if ours:
         options[name] = "rap"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from ...assembly import System, displacement_degree
+from ...problems import Problem
 from ...unknowns import Role
 from .diagonal import pressures
 
@@ -66,33 +66,33 @@ def aggregation(threshold: str = "-1") -> dict[str, str]:
     }
 
 
-def preset(system: System, A: PETSc.Mat) -> dict[str, str]:
-    """Options for a system's tangent. Collective.
+def preset(problem: Problem, A: PETSc.Mat) -> dict[str, str]:
+    """Options for a problem's tangent. Collective.
 
     Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
     freedom, with the field split for symmetric displacement-pressure problems of degree 2 above 40
     thousand (hexahedra 80), else MUMPS.
 
     Args:
-        system: What is solved.
+        problem: What is solved.
         A: Matrix for its tangent, which may be assembled here to see the second field's block.
     """
-    V = system.u.function_space
+    V = problem.u.function_space
     if V.mesh.topology.dim != 3:
-        return direct(system.symmetric)
-    degree = displacement_degree(system.u)
-    if system.minimization and system.is_displacement and system.size > DIRECT_UP_TO:
+        return direct(problem.symmetric)
+    degree = problem.displacement_degree
+    if problem.minimization and problem.is_displacement and problem.size > DIRECT_UP_TO:
         return multigrid(degree)
     most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
-    if system.symmetric and system.size > most and degree == 2 and _has_one_scalar(system):
-        if any(field.role is Role.UNDECLARED for field in system.fields.values()):
-            system.tangent(A)
-        if pressures(system, A):
+    if problem.symmetric and problem.size > most and degree == 2 and _has_one_scalar(problem):
+        if any(field.role is Role.UNDECLARED for field in problem.fields.values()):
+            problem.tangent(A)
+        if pressures(problem, A):
             return field_split()
-    return direct(system.symmetric)
+    return direct(problem.symmetric)
 
 
-def _has_one_scalar(system: System) -> bool:
+def _has_one_scalar(problem: Problem) -> bool:
     """Whether the unknown is a displacement and one scalar."""
-    others = [f for f in system.fields.values() if not f.is_displacement]
-    return system.displacement is not None and [f.components for f in others] == [1]
+    others = [f for f in problem.fields.values() if not f.is_displacement]
+    return problem.displacement is not None and [f.components for f in others] == [1]

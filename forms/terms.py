@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""Summands of a potential: what each adds to energy, residual and tangent.
+
+All that is written in UFL is one :class:`FormTerm`, with one pattern and one insertion. Anything
+else that has an energy and its derivatives is a class with the methods of :class:`Term`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+from ufl.algorithms.analysis import extract_constants
+
+from . import _dolfinx, insertion
+from .compilation import compiled
+from .differentiation import Dependent, dependents, expanded
+from .loads import with_kinematics
+from .operators.jets import Jet
+from .quadrature import with_quadrature
+from .variation import residual, tangent
+
+
+class Term(Protocol):
+    """One summand of a problem's potential, or of its virtual work; all methods are collective.
+
+    They evaluate at the unknown's present values. ``prepare`` comes before the others wherever
+    these have changed, ``commit`` when a state is accepted, ``rollback`` when one is refused and
+    the last accepted one is back.
+    """
+
+    def prepare(self) -> None:
+        """Do what a state needs once: a local Newton method, a search of contacts."""
+
+    def energy(self) -> float | None:
+        """Energy [J] over all ranks; None where there is no potential."""
+
+    def residual(self, b: PETSc.Vec) -> None:
+        """Add the residual to a vector with ghosts, which are added up afterwards."""
+
+    def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
+        """Add the tangent, positive semi-definite if projected; supports are left out later."""
+
+    def largest_step(self, step: PETSc.Vec) -> float:
+        """Fraction of a step, at most 1, up to which the energy stays finite."""
+
+    def commit(self) -> None:
+        """Take the present state for the last accepted one."""
+
+    def rollback(self) -> None:
+        """Return to the last accepted state."""
+
+    def history(self) -> dict[str, NDArray]:
+        """What a checkpoint has to keep besides the unknown."""
+
+
+class FormTerm:
+    """All UFL forms of a problem: a potential or a residual, and virtual works.
+
+    Args:
+        potential: Total potential [J], a functional of u; or a residual, a form linear in a test
+            function, where there is no potential at all.
+        u: Unknown.
+        degree: Degree of the displacements, for the default quadrature.
+        virtual_work: Linear form added to the residual, for loads without a potential.
+        conditions: Boundary conditions, whose rows and columns of the tangent are those of
+            identity.
+
+    Integrals without a quadrature degree get that of :func:`forms.quadrature.quadrature_degree`,
+    the same in energy, residual and tangent, so that they are exact derivatives of each other.
+
+    Attributes:
+        energy_form: Compiled potential; None where only a residual was given.
+        residual_form: Compiled residual.
+        tangent_form: Compiled tangent.
+        tangent_ufl: Tangent in UFL.
+        potential: Total potential, or residual, that all of it was derived from.
+        constants: Constants in the forms.
+    """
+
+    def __init__(
+        self,
+        potential: ufl.Form,
+        u: fem.Function,
+        degree: int,
+        virtual_work: ufl.Form | None,
+        conditions: list[fem.DirichletBC],
+    ) -> None:
+        potential, virtual_work = with_kinematics(potential, virtual_work)
+        self.potential = potential = with_quadrature(potential, degree)
+        is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
+        R = residual(potential, u) if is_energy else potential
+        if virtual_work is not None:
+            is_form = isinstance(virtual_work, ufl.Form)
+            count = len(virtual_work.arguments()) if is_form else "no form"
+            if count != 1:
+                raise ValueError(
+                    "virtual_work must be a form linear in one test function, got one with "
+                    f"{count}; add a load's potential to the potential instead."
+                )
+            R = with_quadrature(R + virtual_work, degree)
+        self.tangent_ufl = K = tangent(R, u)
+        parts = [expanded(potential), R]
+        parts += [c.jets.packed for part in parts for c in dependents(part) if isinstance(c, Jet)]
+        found = dict.fromkeys(c for part in parts for c in dependents(part))
+        self.symmetric = is_energy and virtual_work is None
+        self._u, self._conditions = u, conditions
+        self.energy_form = compiled(potential) if is_energy else None
+        self.residual_form, self.tangent_form = compiled(R), compiled(K)
+        self.projected_form: fem.Form | None = None
+        self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
+        self.constants = tuple(c for part in parts for c in extract_constants(part))
+
+    @property
+    def hides_constants(self) -> bool:
+        """Whether coefficients that depend on the unknown may contain Constants unseen."""
+        return bool(self._dependents)
+
+    def prepare(self) -> None:
+        """Bring coefficients that depend on the unknown up to date."""
+        for coefficient in self._dependents:
+            coefficient.update()
+
+    def energy(self) -> float | None:
+        """Potential at u [J] over all ranks; None where only a residual was given. Collective."""
+        if self.energy_form is None:
+            return None
+        with np.errstate(all="ignore"):
+            own = fem.assemble_scalar(self.energy_form)
+            return float(self._u.function_space.mesh.comm.allreduce(own))
+
+    def create_vector(self) -> PETSc.Vec:
+        """PETSc vector of the unknown's layout, with ghosts."""
+        return _dolfinx.create_vector(self.residual_form)
+
+    def create_matrix(self) -> PETSc.Mat:
+        """PETSc AIJ matrix for the tangent."""
+        return insertion.create_matrix(self.tangent_form, self._conditions)
+
+    def residual(self, b: PETSc.Vec) -> None:
+        """Add the residual at u; no boundary condition enters."""
+        fem_petsc.assemble_vector(b, self.residual_form)
+
+    def lift(self, b: PETSc.Vec) -> None:
+        """Add K (prescribed - u): the change of the residual by a linear move to the supports."""
+        x = self._u.x.petsc_vec
+        fem_petsc.apply_lifting(
+            b, [self.tangent_form], bcs=[self._conditions], x0=[x], alpha=-1.0
+        )
+
+    def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
+        """Assemble the tangent at u, in place of what was in A, supported rows those of identity.
+
+        Args:
+            A: Matrix of :meth:`create_matrix`.
+            projected: Make each contribution positive semi-definite first: the second derivatives
+                of energies in singular values at each point, the matrices of cells and facets of
+                all other terms.
+        """
+        form = self.tangent_form
+        if projected:
+            self.prepare_projection()
+            assert self.projected_form is not None
+            form = self.projected_form
+        insertion.assemble(A, form, self._conditions)
+
+    def prepare_projection(self) -> None:
+        """Compile the projected tangent, once. Collective.
+
+        Raises:
+            ValueError: the tangent has integrals that cannot be projected.
+        """
+        if self.projected_form is None:
+            self.projected_form = compiled(self.tangent_ufl, project=True)
+
+    def largest_step(self, step: PETSc.Vec) -> float:
+        """1: a form bounds no step; states without a finite energy are refused."""
+        return 1.0
+
+    def commit(self) -> None:
+        """Nothing is kept from state to state."""
+
+    def rollback(self) -> None:
+        """Bring coefficients up to date with the unknown's values."""
+        self.prepare()
+
+    def history(self) -> dict[str, Any]:
+        """Nothing besides the unknown."""
+        return {}
