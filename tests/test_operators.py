@@ -116,7 +116,7 @@ def test_facets_and_subdomains(cells, rng):
     """Named facets and cells, each with its own parameters, beside a follower load."""
     body = MESHES[cells]()
     dim = body.topology.dim
-    u, F = moved(body, rng, 2 if dim == 2 else 1)  # order 2 in space compiles for a minute
+    u, F = moved(body, rng, 1 if cells == "tetrahedron" else 2)  # that order compiles fast
     half = mesh.locate_entities(body, dim, lambda x: x[0] <= 0.5 + 1e-9)
     every = np.arange(body.topology.index_map(dim).size_local, dtype=np.int32)
     cell_tags = mesh.meshtags(body, dim, every, np.isin(every, half).astype(np.int32))
