@@ -154,7 +154,7 @@ class Well:
 def test_a_term_of_ones_own_is_a_summand_like_any_other(rng):
     """Energy, residual and tangent of form and term agree to third order; the sum is solved."""
     potential, u, held, _ = scene(3)
-    problem = forms.Problem([potential, Well(u, 3.0, 0.0)], u, held)
+    problem = forms.Problem([potential, Well(u, 300.0, 0.0)], u, held)
     u.x.array[:] = 0.1 * rng.normal(size=u.x.array.size)
     u.x.array[problem.constrained] = 0
     v = rng.normal(size=u.x.array.size)
@@ -167,7 +167,7 @@ def test_a_term_of_ones_own_is_a_summand_like_any_other(rng):
     A.mult(x, y)
     start, E = u.x.array.copy(), problem.energy()
     remainders = []
-    for h in (1e-3, 5e-4, 2.5e-4):
+    for h in (2e-4, 1e-4, 5e-5):
         u.x.array[:] = start + h * v
         taylor = E + h * b.array @ v + h**2 / 2 * y.array @ v
         remainders.append(abs(problem.energy() - taylor))
@@ -180,6 +180,54 @@ def test_a_term_of_ones_own_is_a_summand_like_any_other(rng):
     u.x.array[:] = 0
     forms.solve(potential, u, held)
     assert forms.at(u, (1.0, 0.5))[0] > 1.01 * stiff > 0.01
+
+
+class Wall(Well):
+    """-k ln(gap - u_x) at each node: infinite from the wall on, and no step may reach it."""
+
+    def __init__(self, u, k, gap):
+        super().__init__(u, k, gap)
+        self.nearest = []
+
+    def energy(self):
+        left = self.a - self._values()[:, 0]
+        self.nearest.append(left.min())
+        return -self.k * float(np.log(left).sum()) if left.min() > 0 else np.inf
+
+    def residual(self, b):
+        force = np.zeros((self.nodes, self.dim))
+        force[:, 0] = self.k / (self.a - self._values()[:, 0])
+        with b.localForm() as local:
+            local.array[: force.size] += force.ravel()
+
+    def tangent(self, A, projected=False):
+        second = self.k / (self.a - self._values()[:, 0]) ** 2
+        for node in range(self.nodes):
+            A.setValue(self.dim * node, self.dim * node, second[node], addv=True)
+        A.assemble()
+
+    def largest_step(self, step):
+        left = self.a - self._values()[:, 0]
+        ahead = np.maximum(step.array_r.reshape(-1, self.dim)[:, 0], 1e-300)
+        return float(min(1.0, 0.9 * (left / ahead).min()))
+
+
+def test_no_step_passes_a_barrier():
+    """A load that would go 5 times as far: every trial state is on its side of the wall."""
+    potential, u, held, t = scene(3, load=1.0)
+    forms.solve(potential, u, held)
+    free = u.x.array[::2].max()
+    u.x.array[:] = 0
+    wall = Wall(u, 1e-4, free / 5)
+    problem = forms.Problem([potential, wall], u, held)
+    path = forms.solve(problem)
+    assert path.completed and 0 < wall.a - u.x.array[::2].max() < 0.02 * free
+    assert min(wall.nearest) > 0
+    assert wall.calls.count("commit") == 1
+    with pytest.raises(forms.NotConverged):
+        t.value = 50.0
+        forms.solve(problem, options={"snes_max_it": 1})
+    assert wall.calls.count("commit") == 1 and "rollback" in wall.calls
 
 
 PARALLEL = """

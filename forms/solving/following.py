@@ -89,6 +89,7 @@ def solve(
             f"{outcome.sentence()}. The old state is kept.",
             outcome.advice or f"Reach the load in steps with forms.follow{shown}.",
         )
+    problem.commit()
     path.steps.append(Step(load, outcome, recorded(record, problem)))
     path.completed = True
     path.reason = f"{outcome.sentence()}.{instability(path.steps)}"
@@ -195,6 +196,7 @@ def follow(
             outcome = _attempt(newton)
             if outcome.converged:
                 reached = float(t.value)
+                problem.commit()
                 past = [_State(u.x.array.copy(), walk.done + walk.ahead), *past][:REMEMBERED]
                 path.steps.append(Step(reached, outcome, recorded(record, problem)))
                 walk.advance(outcome.iterations)
@@ -207,6 +209,7 @@ def follow(
             path.refused += 1
             u.x.array[:] = past[0].values
             t.value = reached
+            problem.rollback()
             if not walk.halve():
                 save(now=True)
                 raise failure(

@@ -133,6 +133,7 @@ class Newton:
         # energy in singular values would find these anew at each product.
         matrix_free = own and preset.get("pc_type") == "mg"
         matrix_free &= not dependents(self.problem.forms.tangent_ufl)
+        matrix_free &= len(self.problem.terms) == 1
         self._action = Action(self.problem, self.A) if matrix_free else None
         self._options.apply({**base, **preset})
         self.snes = self._by_residual = self._create(None)
@@ -591,8 +592,12 @@ class Newton:
         self._kept.count()
 
     def _downhill(self, x: PETSc.Vec, step: PETSc.Vec) -> bool:
-        """Stiffen the damping until the step lowers the energy; whether the step was changed."""
-        changed = False
+        """Keep a step within what terms allow, and stiffen damping until it lowers the energy.
+
+        Returns:
+            Whether the step was changed.
+        """
+        changed = self._bounded(step)
         if self._damping is None or not self._energetic:
             return changed
         force = self.snes.getFunction()[0]
@@ -603,6 +608,18 @@ class Newton:
             changed = True
         self._forget_failure()
         return changed
+
+    def _bounded(self, step: PETSc.Vec) -> bool:
+        """Shorten a step that a term forbids; whether it was changed. Collective."""
+        if len(self.problem.terms) == 1:  # forms bound no step
+            return False
+        self.b.pointwiseMult(step, self.scaled.D)
+        self.b.scale(-1)  # SNES takes x - step
+        fraction = self.problem.largest_step(self.b)
+        if fraction >= 1:
+            return False
+        step.scale(fraction)
+        return True
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         fnorm, before = norms[2], self._last[0]
