@@ -160,7 +160,7 @@ def test_refused_steps_and_their_halves_are_taken_up(tmp_path):
 def test_multigrid_that_failed_is_not_tried_again(tmp_path, monkeypatch):
     """The run that takes a path up begins with the factorization that the first one turned to."""
     failing = {"ksp_type": "cg", "pc_type": "gamg", "ksp_max_it": "1", "ksp_rtol": "1e-12"}
-    monkeypatch.setattr(linear_presets, "preset", lambda system: failing)
+    monkeypatch.setattr(linear_presets, "preset", lambda *given: failing)
     plain = follow(shear())
     follow_to(3, shear(), tmp_path)
     path = follow(shear(), tmp_path)

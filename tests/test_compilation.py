@@ -319,7 +319,8 @@ def test_a_form_that_cannot_be_compiled_is_named_alike_on_all_ranks(run):
     """The error of rank 0, which compiles, reaches the others."""
     script = """
 from mpi4py import MPI
-import ufl, forms
+import ufl
+from variform import forms
 from dolfinx import mesh
 body = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
 try:

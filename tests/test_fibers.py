@@ -149,7 +149,8 @@ def test_points_outside_the_wall_are_refused(call, message):
 PARALLEL = """
 import json
 from mpi4py import MPI
-import ufl, forms, meshes
+import ufl
+from variform import forms, meshes
 comm = MPI.COMM_WORLD
 body = meshes.ellipsoid(comm, h=6.0, order=2)
 f = meshes.ellipsoid_fiber_field(body)

@@ -168,7 +168,7 @@ def test_a_field_split_that_fails_gives_way_to_the_factorization(monkeypatch):
     wanted = w.x.array.copy()
     w.x.array[:], t.value = 0, 0.0
     failing = {**presets.field_split(), "ksp_max_it": "1", "ksp_rtol": "1e-12"}
-    monkeypatch.setattr(presets, "preset", lambda system: failing)
+    monkeypatch.setattr(presets, "preset", lambda *given: failing)
     path = forms.follow(potential, w, held, t, step=0.5, rtol=1e-11, progress=False)
     assert w.x.array == pytest.approx(wanted, abs=1e-9)
     last = path.steps[-1].convergence
@@ -203,7 +203,7 @@ def test_multigrid_that_fails_while_supports_are_carried_gives_way_too(monkeypat
     body = meshes.block(MPI.COMM_WORLD, (1.0, 0.5, 0.5), n=(4, 2, 2))
     states = []
     for options in (presets.direct(True), {**presets.multigrid(2), "ksp_max_it": "1"}):
-        monkeypatch.setattr(presets, "preset", lambda system, options=options: options)
+        monkeypatch.setattr(presets, "preset", lambda *given, options=options: options)
         u, t = forms.displacement(body, 2), forms.load_factor(body)
         psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 1.5) * ufl.dx
         held = [forms.clamp(u, body.facets("left"))]

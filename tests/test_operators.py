@@ -608,7 +608,8 @@ def test_plane_stress_wants_plain_energies():
 
 NO_COMPILER = """
 from mpi4py import MPI
-import ufl, forms
+import ufl
+from variform import forms
 from dolfinx import mesh
 u = forms.displacement(mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2))
 psi = forms.energies.hencky(forms.deformation_gradient(u), 1.0, 1.0)
@@ -621,7 +622,8 @@ except RuntimeError as error:
 
 AT_ONCE = """
 from mpi4py import MPI
-import ufl, forms
+import ufl
+from variform import forms
 from dolfinx import mesh
 u = forms.displacement(mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2))
 u.interpolate(lambda x: 0.1 * x)

@@ -365,6 +365,8 @@ def test_wrong_commands_would_be_found(command, wrong):
 def resolves(name):
     """Whether a dotted name is a module, or something in one."""
     words = name.split(".")
+    if words[0] in ("forms", "meshes"):
+        words = ["variform", *words]
     for k in range(len(words), 0, -1):
         try:
             found = importlib.util.find_spec(".".join(words[:k]))
@@ -421,7 +423,8 @@ def test_unknown_names_would_be_found():
 
 def known():
     """Names that a page about forms may call without saying where they are."""
-    places = [forms, forms.energies, forms.stress, meshes, meshes.Body, forms.Path, ufl, builtins]
+    places = [forms, forms.energies, forms.kinematics, forms.membranes, forms.stress]
+    places += [meshes, meshes.Body, forms.Path, ufl, builtins]
     return {name for place in places for name in dir(place)} | {"psi"}  # a reader's own
 
 

@@ -66,7 +66,7 @@ def aggregation(threshold: str = "-1") -> dict[str, str]:
     }
 
 
-def preset(problem: Problem, A: PETSc.Mat) -> dict[str, str]:
+def preset(problem: Problem, A: PETSc.Mat | None = None) -> dict[str, str]:
     """Options for a problem's tangent. Collective.
 
     Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
@@ -86,6 +86,7 @@ def preset(problem: Problem, A: PETSc.Mat) -> dict[str, str]:
     most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
     if problem.symmetric and problem.size > most and degree == 2 and _has_one_scalar(problem):
         if any(field.role is Role.UNDECLARED for field in problem.fields.values()):
+            A = problem.create_matrix() if A is None else A
             problem.tangent(A)
         if pressures(problem, A):
             return field_split()
