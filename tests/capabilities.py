@@ -916,7 +916,7 @@ CAPABILITIES = (
         "003",
         "VI, VIII",
         "assembly, Newton-Raphson with symmetric tangent",
-        ("element.assemble_vector", "element.assemble_matrix", "forms.system", "forms.solve"),
+        ("element.assemble_vector", "element.assemble_matrix", "forms.Problem", "forms.solve"),
         ("test_newton_by_hand_finds_the_solution_of_snes",),
     ),
     Capability(

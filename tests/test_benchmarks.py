@@ -205,7 +205,7 @@ def test_estimate_follows_its_formula():
 @pytest.mark.slow
 def test_benchmark_of_kills_runs(run, tmp_path):
     """Two kills and two runs at a time on each number of ranks: nothing fails afterwards."""
-    done = run("-m", "demos.benchmarks.kills", "--small", cwd=tmp_path, timeout=900)
+    done = run("-m", "demos.benchmarks.kills", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     killed = [row for row in rows if "next run" in row]
     assert len(rows) == 8 and len(killed) == 4

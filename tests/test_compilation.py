@@ -54,7 +54,7 @@ def test_an_energy_on_arrays_is_compiled_once(run, tmp_path, monkeypatch):
     """Two energies, however often, with whatever numbers, in any process: two modules."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for before in (0, 8):  # numbers 9 and 10 are sorted as words
-        run("-c", EVALUATED, before, timeout=HANGS)
+        run("-c", EVALUATED, before)
         assert len([name for name in modules(tmp_path) if "ffcx" in name]) == 2
 
 
@@ -86,7 +86,7 @@ def test_names_of_code_contain_no_running_numbers(run, tmp_path, monkeypatch):
     found = []
     for seed, before in enumerate((0, 9)):  # Constants 0 and 1; 9 and 10, sorted as words
         monkeypatch.setenv("PYTHONHASHSEED", str(seed))
-        run("-c", FORMS, before, timeout=HANGS)
+        run("-c", FORMS, before)
         found.append(modules(tmp_path))
     assert found[0] == found[1]
     assert len(found[0]) == 7  # the library; form, operand and jet; three expressions
@@ -179,7 +179,7 @@ if MPI.COMM_WORLD.rank == 0:
 def wait_for(condition, process):
     """Wait until something holds, while a process lives."""
     while not condition():
-        assert process.poll() is None, process.communicate()[1]
+        assert process.poll() is None, process.communicate(timeout=HANGS)[1]
         time.sleep(0.002)
 
 
@@ -193,12 +193,12 @@ def test_a_killed_compile_leaves_nothing_to_wait_for(how, run, tmp_path, monkeyp
     time.sleep(draw.uniform(0, 0.1))
     if how == "INT":
         os.killpg(process.pid, signal.SIGINT)
-        process.communicate()
+        process.communicate(timeout=HANGS)
     else:
         kill(process)
     left = list(tmp_path.glob("fenics/*.*"))  # locks and unfinished folders
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert run("-c", COLD, ranks=ranks, timeout=HANGS).stdout.strip() == "finished"
+    assert run("-c", COLD, ranks=ranks).stdout.strip() == "finished"
     assert len(modules(tmp_path)) == 2 and not list(tmp_path.glob("fenics/*.*"))
     assert how != "INT" or not left
 
@@ -237,7 +237,7 @@ def test_others_wait_as_long_as_the_one_that_makes_it_lives(tmp_path):
         time.sleep(1.5)
         assert all(other.poll() is None for other in others)
         first.kill()
-        first.communicate()
+        first.communicate(timeout=HANGS)
         said = [other.communicate(timeout=HANGS) for other in others]
     finally:
         for process in (first, *others):
@@ -311,7 +311,7 @@ print("finished")
 def test_a_lock_is_never_held_while_ranks_wait_for_each_other(run, tmp_path, monkeypatch):
     """Rank 1 compiles by itself what rank 0 compiles for both."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    out = run("-c", ONE_RANK_ALONE, ranks=2, timeout=HANGS).stdout
+    out = run("-c", ONE_RANK_ALONE, ranks=2).stdout
     assert out.count("finished") == 2
 
 
@@ -333,7 +333,7 @@ except RuntimeError as error:
     alone, *both = (
         line
         for ranks in (1, 2)
-        for line in run("-c", script, ranks=ranks, timeout=HANGS).stdout.splitlines()
+        for line in run("-c", script, ranks=ranks).stdout.splitlines()
     )
     assert alone.startswith("compiling a form failed (") and both == [alone, alone]
 

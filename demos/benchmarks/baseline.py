@@ -107,6 +107,7 @@ def validation(name):
     """Paths of a case of the validation gallery."""
     found = []
     with recorded(found, pictures=True):
+        Path("results").mkdir()
         VALIDATION[name].run(Path("results"), MPI.COMM_SELF)
     return found
 

@@ -228,7 +228,7 @@ assert linear["default", 10] == 1 < linear["default", 16]
 # clamped plate whose edges are singular.
 
 # %%
-repository = Path(forms.__file__).parents[1]
+repository = Path(forms.__file__).resolve().parents[1]
 with Pixels.open(repository / "demos/figures/work_precision.png") as chart:
     width, height = chart.size
     parts = [
