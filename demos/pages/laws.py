@@ -36,10 +36,15 @@ LAWS = {
     "supports": "rigid motions at every node and load",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
+    "unknowns": "fields by name and role: a heated bar, pressure and volume ratio, damage; own "
+    "mixed elements; 1, 2, 3 ranks",
+    "problems": "a second solve sets nothing up and knows of no earlier one; terms of one's own; "
+    "no step passes a barrier",
+    "entities": "measures given as lists count each entity once, and list what the mesh has",
     "insertion": "tangents in PETSc's arrays, and products without a matrix, are DOLFINx's own "
     "matrix: cells, orders, integrals, supports, ranks",
-    "quadrature": "which degree an integrand gets; one point is exact for P1; the order of "
-    "convergence stays",
+    "quadrature": "which degree an integrand gets, the same wherever forms compile; one point is "
+    "exact for P1; the order of convergence stays",
     "control": "a balloon past its limit point, a load found from a displacement",
     "sheets": "tension fields against closed forms, bending of a stretched sheet, flat starts, "
     "Hencky's disk, weight, enclosed gas, a balloon's stability",
@@ -49,8 +54,9 @@ LAWS = {
     "disks, wrong meshes",
     "multigrid": "multigrid over the order and the field split find MUMPS's solution, at "
     "iterations that hardly grow",
-    "failures": "failures and interrupts keep the last state; undefined states are refused; "
-    "options and tolerances; wrong arguments",
+    "options": "PETSc's options hold wherever they are set, and stay the user's",
+    "failures": "failures and interrupts keep the last state; undefined states and derivatives are "
+    "refused and named; options and tolerances; wrong arguments",
     "results": "resultants balance; values at points; JSON, VTX and pictures read back",
     "formulas_elasticity": "document 003, (1)-(28) in NumPy against complex steps and UFL; its "
     "misprints measured",
@@ -78,6 +84,7 @@ LAWS = {
     "benchmarks": "every benchmark at toy size; the block of the peers, the estimate's formula",
     "environment": "docker/enter, its refusals, OpenBLAS, threads",
     "pages": "tables, pictures, links, code and commands of every page follow from what is there",
+    "house": "imports point down as drawn, no circle, private names at home, one import name",
     "package": "wheel, versions, imports, the first screen of the README",
 }
 

@@ -16,9 +16,11 @@ from .. import _dolfinx
 from ..compilation import compiled
 from ..differentiation import expanded
 from ..insertion import assemble, create_matrix
+from ..paths import REASONS
 from ..problems import Problem
 from ..variation import residual, tangent
 
+NAN = "nan or infinite"
 LONGEST = 100  # characters of a summand in a sentence
 ADVICE = (
     "Write the energy so that its second derivative exists there (with a power of 2 or more), or "
@@ -45,6 +47,15 @@ def not_finite(problem: Problem, A: PETSc.Mat) -> str:
         culprit = f"{culprit[: LONGEST // 2]} … {culprit[-LONGEST // 2 :]}"
     what = f"of the summand {culprit} " if culprit else ""
     return f"the second derivative {what}is not finite at {place}"
+
+
+def undefined(problem: Problem) -> str:
+    """Why the energy is not finite at the start, in words. Collective."""
+    if not all(np.all(np.isfinite(c.value)) for c in problem.forms.constants):
+        return f"{REASONS[-1]}: a Constant in the potential is {NAN}"
+    if not np.isfinite(problem.u.x.petsc_vec.norm()):
+        return f"{REASONS[-1]}: the unknown holds {NAN}"
+    return f"{REASONS[-1]}: cells are inverted there, or a parameter is out of its range"
 
 
 def _first_row(problem: Problem, A: PETSc.Mat) -> tuple[float, ...] | None:

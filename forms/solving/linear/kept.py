@@ -105,6 +105,11 @@ class Kept:
         """Build anew at the next tangent."""
         self.due = True
 
+    def renew_if_stale(self) -> bool:
+        """Build anew at the next tangent where the last one was not its own; whether it was so."""
+        self.due |= self.stale
+        return self.stale
+
     def prepare(self, A: PETSc.Mat) -> None:
         """Build the preconditioner for a tangent just assembled, or keep it. Collective."""
         if not self.used:
