@@ -16,6 +16,7 @@ from .problems import Problem
 USUAL = {"full tangent", "|R|"}
 
 REASONS = {
+    3: "the energy cannot be lowered further",
     -1: "the energy is not finite at the start",
     -3: "the linear solver failed",
     -4: "the residual is not finite",

@@ -106,7 +106,7 @@ def main(elements=(), small=False):
             for direct in (False, True):
                 if direct and size > MOST_DIRECT:
                     continue
-                linear.preset = lambda system, A, e=element, d=direct: preset(e, d)
+                linear.preset = lambda *given, e=element, d=direct: preset(e, d)
                 kind = {"element": element, "solver": "MUMPS" if direct else "multigrid"}
                 found = [] if direct else [{"what": "solve", **solved(element, n)}]
                 found.append({"what": "twist", **walked(element, n)})

@@ -46,9 +46,9 @@ def measured(case):
     system = forms.Problem(problem.potential, problem.unknown, problem.supports)
     preset, options = linear.preset, {}
     if case.method == "MUMPS":
-        linear.preset = lambda system, A: linear.direct(system.symmetric)
+        linear.preset = lambda *given: linear.direct(system.symmetric)
     elif case.method != "preset":
-        linear.preset = lambda system, A: linear.multigrid(int(case.element[1]))
+        linear.preset = lambda *given: linear.multigrid(int(case.element[1]))
         options = {"ksp_rtol": float(case.method.split()[-1])}
     times = []
     try:

@@ -2,19 +2,20 @@
 """Write the pages' tables and pictures: ``docker/enter python3 -m demos.pages``.
 
 ``--tables`` leaves the pictures as they are; ``--demos`` runs every demo twice before, for their
-times and pictures. What is written stands in forms/README.md, meshes/README.md, tests/README.md and
-demos/README.md between two marks each, and in demos/figures.
+times and pictures. What is written stands in forms/README.md, forms/solving/README.md,
+meshes/README.md, tests/README.md and demos/README.md between two marks each, and in demos/figures.
 """
 
 import sys
 
 from demos.benchmarks.record import insert
 
-from . import bodies, energies, gallery, laws, responses
+from . import bodies, energies, gallery, ladder, laws, responses
 
 PAGES = {  # page, mark: what writes the lines
     ("forms/README.md", "energies"): energies.lines,
     ("meshes/README.md", "bodies"): bodies.lines,
+    ("forms/solving/README.md", "ladder"): ladder.lines,
     ("tests/README.md", "laws"): laws.lines,
     ("demos/README.md", "demos"): gallery.table,
     ("demos/README.md", "gallery"): gallery.gallery,

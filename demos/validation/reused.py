@@ -39,7 +39,7 @@ def cook(folder, comm):
 def torsion(folder, comm):
     """Moment and axial force of the finest cylinder, from its state."""
     found, names = demo("torsion", folder, comm)
-    force, moment = forms.resultant(names["path"].system, names["body"].facets("top"))
+    force, moment = forms.resultant(names["path"], names["body"].facets("top"))
     rates = {f"rate, {name}": found["rates"][name] for name in ("moment", "force")}
     return {"moment": moment[2], "force": force[2], **rates}
 

@@ -37,6 +37,7 @@ from .finite import ADVICE, not_finite
 from .linear import presets
 from .options import SolverOptions
 from .scaling import Scaled
+from .settings import Settings
 from .stability import inertia
 
 PREFIX = "variform_bordered_"
@@ -229,7 +230,7 @@ class Bordered:
     def _damp(self) -> None:
         """Add the damping to the tangent, made at its first use."""
         if self.damping is None:
-            self.damping = Damping(self.problem, self.A, self.scaled.free)
+            self.damping = Damping(self.problem, self.A, self.scaled.free, Settings())
         self.damping.add(self.A)
 
     def move(self, factor: float, direction: PETSc.Vec, dq: float) -> float:

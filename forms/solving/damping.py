@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from ..compilation import compiled
 from ..problems import Problem
 from .linear.diagonal import typical_diagonal
-
-FIRST, LEAST, MOST = 1e-6, 1e-10, 1e2
-EASED, STIFFENED = 5.0, 100.0
+from .settings import Settings
 
 
 class Damping:
@@ -25,20 +23,27 @@ class Damping:
     field by field
 
     Where the tangent has no stiffness at all, as a flat sheet across its plane, the step is that
-    of a prestretched sheet, which is smooth on every mesh. s falls by EASED after each full step
-    and grows after one that the line search had to shorten, by as much as it was shortened (at
-    most by STIFFENED), so that full steps come back.
+    of a prestretched sheet, which is smooth on every mesh. s falls after each full step and
+    grows after one that the line search had to shorten, by as much as it was shortened (up to a
+    limit), so that full steps come back.
 
     Args:
         problem: Displacement problem.
         A: Assembled tangent to be compared with.
         free: Local numbers of the degrees of freedom that are compared.
+        settings: Numbers that it is tuned by.
         otherwise: Stiffness [N/m] to be compared with where all diagonal entries of A are 0.
     """
 
     def __init__(
-        self, problem: Problem, A: PETSc.Mat, free: NDArray[np.int32], otherwise: float = 1.0
+        self,
+        problem: Problem,
+        A: PETSc.Mat,
+        free: NDArray[np.int32],
+        settings: Settings,
+        otherwise: float = 1.0,
     ) -> None:
+        self._settings = settings
         V = problem.u.function_space
         du, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         uniform = compiled(ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx)
@@ -55,7 +60,7 @@ class Damping:
         own = typical_diagonal(self.L, free)
         stiffness = typical_diagonal(A, free) or otherwise
         self.scale = stiffness / own if own else 0.0
-        self.strength = FIRST
+        self.strength = self._settings.damping[0]
 
     def _balance(self, problem: Problem) -> None:
         """Scale the other fields' stiffness like the first one's, as the tangent is scaled."""
@@ -73,7 +78,7 @@ class Damping:
 
     def restart(self) -> None:
         """Return to the first strength."""
-        self.strength = FIRST
+        self.strength = self._settings.damping[0]
 
     def add(self, A: PETSc.Mat) -> None:
         """Add the damping to a tangent. Collective."""
@@ -81,15 +86,18 @@ class Damping:
 
     def after(self, fraction: float) -> None:
         """Adapt the strength to the fraction of the last step that the line search took."""
+        _, least, most = self._settings.damping
         if fraction >= 0.99:
-            self.strength = max(self.strength / EASED, LEAST)
+            self.strength = max(self.strength / self._settings.eased, least)
         elif fraction < 0.3:
-            self.strength = min(self.strength * min(1 / max(fraction, 1e-300), STIFFENED), MOST)
+            grown = min(1 / max(fraction, 1e-300), self._settings.stiffened)
+            self.strength = min(self.strength * grown, most)
 
     def stiffen(self) -> bool:
         """Grow after a step that does not lower the energy; False where that is no use."""
-        grown = self.strength < MOST
-        self.strength = min(max(STIFFENED * self.strength, FIRST), MOST)
+        first, _, most = self._settings.damping
+        grown = self.strength < most
+        self.strength = min(max(self._settings.stiffened * self.strength, first), most)
         return grown
 
     def destroy(self) -> None:

@@ -20,12 +20,8 @@ from ..supports import Support
 from .newton import Newton
 from .progress import bar_of
 from .reuse import newton_for, problem_for, release
+from .settings import Settings
 from .supported import failure
-
-EASY = 5  # Newton iterations up to which the next load step grows
-REMEMBERED = 3  # states that the next one is extrapolated from
-# Distance of the parabola from the line, over the step, from which on the path is no smooth curve.
-BENT = 0.25
 
 
 def solve(
@@ -39,6 +35,7 @@ def solve(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     projection: str = "auto",
+    settings: Settings | None = None,
     record: Mapping[str, Callable[[Problem], Any]] | None = None,
     load: float = 1.0,
 ) -> Path:
@@ -56,6 +53,7 @@ def solve(
         ctol: Tolerance of the last correction relative to the model's size.
         projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
             see :class:`Newton`.
+        settings: Numbers that the solver is tuned by, and the ladder of its ways.
         record: Functions of the problem, evaluated at the solution; collective.
         load: Load factor to be noted in the path and its files.
 
@@ -69,7 +67,7 @@ def solve(
     check_record(record)
     problem = problem_for(potential, u, supports, virtual_work)
     u = problem.u
-    newton = newton_for(problem, options, prefix, rtol, ctol, projection)
+    newton = newton_for(problem, options, prefix, rtol, ctol, projection, settings)
     path, start = Path(u, problem), time.perf_counter()
     before = u.x.array.copy()
     converged = False
@@ -112,6 +110,7 @@ def follow(
     rtol: float = 1e-8,
     ctol: float = 1e-6,
     projection: str = "auto",
+    settings: Settings | None = None,
     record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     checkpoint: Checkpoint | None = None,
@@ -139,6 +138,7 @@ def follow(
         ctol: Tolerance of the last correction relative to the model's size.
         projection: When to make the tangent positive semi-definite: "auto", "always" or "never",
             see :class:`Newton`.
+        settings: Numbers that the solver is tuned by, and the ladder of its ways.
         record: Functions of the problem, evaluated after each step and kept; collective.
         on_step: Called with the path after each step, as a :class:`forms.VTX` writer.
         checkpoint: Where the path is saved, and taken up when the script is started again; see
@@ -168,7 +168,7 @@ def follow(
             "nothing depends on the load factor t: write a load or a support with it, or use solve."
         )
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
-    newton = newton_for(problem, options, prefix, rtol, ctol, projection)
+    newton = newton_for(problem, options, prefix, rtol, ctol, projection, settings)
     path, start = Path(u, problem, begin=float(t.value)), time.perf_counter()
     bar = bar_of("load", 1.0, problem.comm, progress)
     past, reached = [_State(u.x.array.copy(), walk.done)], float(t.value)
@@ -176,11 +176,12 @@ def follow(
     def save(now: bool) -> None:
         path.seconds = time.perf_counter() - start
         if archive is not None and path.steps:
-            control = {**vars(walk), "places": [s.done for s in past], "newton": newton.memory()}
+            control = {**vars(walk), "places": [s.done for s in past]}
+            control["newton"] = newton.tangent.memory()
             counts = {"refused": path.refused, "seconds": path.seconds}
             states = [s.values for s in past]
             if archive.write(states, path.steps, {**control, **counts}, now):
-                newton.renew()  # as the run that goes on from this checkpoint has to
+                newton.tangent.kept.renew()  # as the run that goes on from this checkpoint has to
 
     try:
         if archive is not None and (saved := archive.read()) is not None:
@@ -192,14 +193,15 @@ def follow(
                 bar.write(resumed, sys.stderr)
         while not walk.finished:
             t.value = walk.aim()
-            _extrapolate(problem, past, walk.done + walk.ahead)
+            _extrapolate(problem, past, walk.done + walk.ahead, newton.settings.bent)
             outcome = _attempt(newton)
             if outcome.converged:
                 reached = float(t.value)
                 problem.commit()
-                past = [_State(u.x.array.copy(), walk.done + walk.ahead), *past][:REMEMBERED]
+                past = [_State(u.x.array.copy(), walk.done + walk.ahead), *past]
+                del past[newton.settings.remembered :]
                 path.steps.append(Step(reached, outcome, recorded(record, problem)))
-                walk.advance(outcome.iterations)
+                walk.advance(outcome.iterations <= newton.settings.easy)
                 bar.update(walk.fraction - bar.n)
                 bar.set_postfix_str(f"t = {reached:.4g}, {outcome.iterations} iterations")
                 if on_step is not None:
@@ -278,10 +280,10 @@ class _Walk:
             return self.end
         return self.begin + np.sign(self.end - self.begin) * (self.done + self.ahead)
 
-    def advance(self, iterations: int) -> None:
+    def advance(self, easily: bool) -> None:
         """A step has converged."""
         self.done += self.ahead
-        if iterations <= EASY:
+        if easily:
             self.ahead = min(self.most, 1.5 * self.ahead)
 
     def halve(self) -> bool:
@@ -333,7 +335,7 @@ def _resume(saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Consta
         t.value = first
         _predict(newton)
         newton.recall(saved.control["newton"])
-        newton.renew()
+        newton.tangent.kept.renew()
     path.steps += [Step(*step) for step in saved.steps]
     path.refused, path.seconds = saved.control["refused"], saved.control["seconds"]
     path.resumed = path.load
@@ -342,7 +344,7 @@ def _resume(saved: Saved, path: Path, walk: _Walk, newton: Newton, t: fem.Consta
     return [_State(*s) for s in zip(saved.states, saved.control["places"], strict=True)]
 
 
-def _extrapolate(problem: Problem, past: Sequence[_State], to: float) -> None:
+def _extrapolate(problem: Problem, past: Sequence[_State], to: float, bent: float) -> None:
     """Move u on along the curve through the last states, if the energy stays finite there.
 
     Along the parabola through three of them where it bends little, else along the line through two.
@@ -355,7 +357,7 @@ def _extrapolate(problem: Problem, past: Sequence[_State], to: float) -> None:
         owned = slice(dofmap.index_map.size_local * dofmap.bs)
         squares = [float(d @ d) for d in ((curve - line)[owned], (line - last)[owned])]
         bend, way = problem.comm.allreduce(np.array(squares))
-        if bend > BENT**2 * way:
+        if bend > bent**2 * way:
             guesses.pop()
     for guess in reversed(guesses):
         u[:] = guess

@@ -22,7 +22,7 @@ def predict(newton: Any) -> None:
     Args:
         newton: :class:`forms.solving.newton.Newton`, whose state x becomes the predicted one.
     """
-    problem, tangent = newton.problem, newton.tangent
+    problem, tangent, runs = newton.problem, newton.tangent, newton.runs
     scaled = tangent.scaled
     tangent.projecting = newton.projection == "always"
     # Measuring leaves the tangent at u behind, which is that of the predictor.
@@ -30,23 +30,23 @@ def predict(newton: Any) -> None:
     if scaled.rounding == 0:
         scaled.measure()
     newton.measure_imbalance()
-    scaled.get(newton.x)
-    jump = newton.x.copy()
+    scaled.get(runs.x)
+    jump = runs.x.copy()
     scaled.prescribe(jump)
-    jump.axpy(-1, newton.x)
+    jump.axpy(-1, runs.x)
     # A start may miss the supports by rounding: no reason for a step at the whole load.
     missed = jump.norm(PETSc.NormType.INFINITY)
     jump.destroy()
     if missed <= 1e3 * EPS * scaled.size:
         return
-    problem.lifted_residual(newton.b)
-    newton.b.pointwiseMult(newton.b, scaled.D)
-    newton.b.scale(-1)
+    problem.lifted_residual(runs.b)
+    runs.b.pointwiseMult(runs.b, scaled.D)
+    runs.b.scale(-1)
     # Not the jump itself, a length among forces: it is prescribed below.
-    newton.b.array[problem.constrained] = 0
-    start = newton.x.copy()
+    runs.b.array[problem.constrained] = 0
+    start = runs.x.copy()
     _carry(newton, assembled)
-    for x in (newton.x, start):  # without the carried step where that leaves no finite energy
+    for x in (runs.x, start):  # without the carried step where that leaves no finite energy
         scaled.prescribe(x)
         scaled.put(x)
         if not problem.has_energy or np.isfinite(problem.energy()):
@@ -56,7 +56,8 @@ def predict(newton: Any) -> None:
 
 def _carry(newton: Any, assembled: bool) -> None:
     """Move x by the tangent solve for b, damped where that is singular; else not at all."""
-    tangent, du = newton.tangent, newton.b.duplicate()
+    tangent, runs = newton.tangent, newton.runs
+    du = runs.b.duplicate()
     damped = tangent.damping is not None
     while True:
         if assembled and not damped:
@@ -65,13 +66,13 @@ def _carry(newton: Any, assembled: bool) -> None:
             tangent.assemble()
         assembled = False
         tangent.ksp.setOperators(tangent.product, tangent.A)
-        solved = tangent.solve(newton.b, du)
+        solved = tangent.solve(runs.b, du)
         if tangent.spoiled:
             break
         if solved and np.isfinite(du.norm()):
-            newton.ruined = newton.is_ruined()
-            if not newton.ruined:
-                newton.x.axpy(1, du)
+            runs.ruined = newton.is_ruined()
+            if not runs.ruined:
+                runs.x.axpy(1, du)
             break
         if tangent.kept.renew_if_stale() or newton.leave_multigrid():
             continue

@@ -18,6 +18,7 @@ from ..problems import Problem
 from ..supports import Support
 from .newton import Newton
 from .options import SolverOptions
+from .settings import Settings
 
 _SAME = (MPI.IDENT, MPI.CONGRUENT)
 _last: list[tuple[tuple[Any, ...], Problem]] = []
@@ -70,17 +71,19 @@ def newton_for(
     rtol: float,
     ctol: float,
     projection: str,
+    settings: Settings | None,
 ) -> Newton:
     """A problem's solver with these settings, as if it were new. Collective."""
     if problem in _in_use:
-        return Newton(problem, options, prefix, rtol, ctol, projection)
+        return Newton(problem, options, prefix, rtol, ctol, projection, settings)
     asked = SolverOptions(prefix, options, apart="bordered_").user
-    settings = (prefix, rtol, ctol, projection, asked)
-    if problem.solver is not None and problem.solver[0] != settings:
+    settings = settings or Settings()
+    given = (prefix, rtol, ctol, projection, asked, settings)
+    if problem.solver is not None and problem.solver[0] != given:
         problem.destroy()
     if problem.solver is None:
-        newton = Newton(problem, options, prefix, rtol, ctol, projection)
-        problem.solver = settings, newton
+        newton = Newton(problem, options, prefix, rtol, ctol, projection, settings)
+        problem.solver = given, newton
     else:
         newton = problem.solver[1]
         newton.begin()

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from .ladder import LADDER, Way
+from .linear import presets
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Tuning of Newton's method and of load steps; the defaults are measured.
+    """Tuning of Newton's method, of linear solvers and of load steps; the defaults are measured.
+
+    ``forms.follow(…, settings=Settings(most=60, ladder=LADDER[:4]))``
 
     Attributes:
         near: Fraction of the force level at which a search by the energy hands over to |R|.
@@ -23,6 +27,22 @@ class Settings:
             nodes by a tenth of the cells has inverted some; a buckled body has a few.
         light: Damping below which a tangent's eigenvalues are its own.
         ladder: What is tried after which failure.
+        damping: First strength of the damping (Levenberg-Marquardt), and its least and largest.
+        eased: Factor by which it falls after a full step.
+        stiffened: Largest factor by which it grows after a step that was shortened.
+        direct_up_to: Unknowns up to which a factorization by MUMPS is the preset in space.
+        split_from: Unknowns from which displacement-pressure problems get the field split, by the
+            kind of cell.
+        slower: Iterations for a digit, over those of the first solve, at which a preconditioner is
+            built anew: an assembly of its operators costs as much as 10 to 25 iterations.
+        slow: Iterations for a digit above which a factorization is faster, as in a body that is
+            nearly incompressible and has no pressure of its own.
+        factorized_up_to: Unknowns up to which one is then turned to.
+        patience: A lagged preconditioner that fails is given up after so many times its first
+            iterations.
+        below: The last linear solve aims at this fraction of the goal, if ``digits`` are enough.
+        digits: Digits of a linear solve that are enough for the last Newton step.
+        loosest: Largest relative tolerance of a linear solve.
         easy: Newton iterations up to which the next load step grows.
         remembered: States that the next one is extrapolated from.
         bent: Distance of the parabola from the line, over the step, from which on a path is no
@@ -36,6 +56,25 @@ class Settings:
     ruined: float = 0.05
     light: float = 1e-8
     ladder: tuple[Way, ...] = LADDER
+    damping: tuple[float, float, float] = (1e-6, 1e-10, 1e2)
+    eased: float = 5.0
+    stiffened: float = 100.0
+    direct_up_to: int = field(default_factory=lambda: presets.DIRECT_UP_TO)
+    split_from: Mapping[str, int] = field(default_factory=lambda: presets.SPLIT_FROM)
+    slower: float = 2.0
+    slow: float = 30.0
+    factorized_up_to: int = 50_000
+    patience: float = 4.0
+    below: float = 0.3
+    digits: int = 4
+    loosest: float = 0.1
     easy: int = 5
     remembered: int = 3
     bent: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not all(isinstance(way, Way) for way in self.ladder):
+            raise ValueError(
+                "a ladder is a tuple of forms.solving.ladder.Way objects, got "
+                f"{[type(way).__name__ for way in self.ladder]}."
+            )

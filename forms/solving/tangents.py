@@ -60,7 +60,7 @@ class Tangent:
         self.projecting = self.spoiled = self.left_multigrid = False
         self.damping: Damping | None = None
         self._action: Action | None = None
-        self.preset = presets.preset(problem, self.A)
+        self.preset = presets.preset(problem, self.A, settings)
         if problem.minimization and problem.is_displacement:
             self.A.setNearNullSpace(rigid_modes(problem.u.function_space))
 
@@ -83,7 +83,10 @@ class Tangent:
         """Take SNES's linear solver."""
         self.ksp = ksp
         ksp.setPostSolve(self._hold)
-        self.kept = Kept(self.problem, ksp, self._chosen, self._options.prefix, self._options.user)
+        options = self._options
+        self.kept = Kept(
+            self.problem, ksp, self._chosen, options.prefix, options.user, self._settings
+        )
 
     def detach(self) -> None:
         """Free what belongs to a linear solver that is made anew."""
@@ -125,7 +128,9 @@ class Tangent:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""
         force = self._force() or 1.0
         size = self.scaled.size
-        self.damping = Damping(self.problem, self.A, self.scaled.free, force / size)
+        self.damping = Damping(
+            self.problem, self.A, self.scaled.free, self._settings, force / size
+        )
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Solve K x = b; whether that succeeded. Collective."""
@@ -180,7 +185,7 @@ class Tangent:
         again = self.left_multigrid
         if again:
             self.left_multigrid = False
-            self.preset = presets.preset(self.problem, self.A)
+            self.preset = presets.preset(self.problem, self.A, self._settings)
         return again
 
     def forget_damping(self) -> None:
@@ -194,6 +199,14 @@ class Tangent:
         left = presets.direct(self.problem.symmetric) == self.preset
         damping = self.damping and (self.damping.scale, self.damping.strength)
         return {"direct": left, "damping": damping}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Take the damping of an earlier one's memory, after the first tangent. Collective."""
+        if memory["damping"]:
+            if self.damping is None:
+                self.damp()
+            assert self.damping is not None
+            self.damping.scale, self.damping.strength = memory["damping"]
 
     def destroy(self) -> None:
         """Free the matrices."""

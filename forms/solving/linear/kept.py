@@ -15,17 +15,6 @@ from ...problems import Problem
 from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
-# Iterations for a digit, over those of the first solve, at which a preconditioner is built anew: an
-# assembly of its operators costs as much as 10 to 25 iterations.
-SLOWER = 2.0
-# Iterations for a digit above which a factorization is faster, up to so many unknowns: in a body
-# that is nearly incompressible and has no pressure of its own.
-SLOW, FACTORIZED_UP_TO = 30, 50_000
-# A kept one that fails is given up after so many times its first iterations.
-PATIENCE = 4
-# The last linear solve aims this much below the goal, if so many digits are enough for it.
-BELOW, DIGITS = 0.3, 4
-LOOSEST = 0.1
 TWO_PRODUCTS_UP_TO = 20_000
 
 
@@ -44,6 +33,7 @@ class Kept:
         preset: Options in use that are the package's own; empty where the user chose.
         prefix: Prefix of the options.
         user: Options that are the user's.
+        settings: Numbers that it is tuned by (:class:`forms.solving.settings.Settings`).
 
     Attributes:
         used: Whether there is anything to keep.
@@ -60,6 +50,7 @@ class Kept:
         preset: Mapping[str, str],
         prefix: str,
         user: Mapping[str, Any],
+        settings: Any,
     ) -> None:
         self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
         self._levels: OrderMultigrid | None = None
@@ -72,7 +63,8 @@ class Kept:
             self._blocks = FieldSplit(problem, ksp, prefix)
         self._ksp, self.stale, self.due, self._first = ksp, False, True, 0.0
         self._problem = problem
-        self.slow, self._small = False, problem.size <= FACTORIZED_UP_TO
+        self._settings = settings
+        self.slow, self._small = False, problem.size <= settings.factorized_up_to
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
         self._asked = self._rtol
@@ -82,15 +74,16 @@ class Kept:
 
     def _begin(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Say what is kept, and set the tolerances of this solve. Collective."""
+        settings = self._settings
         ksp.getPC().setReusePreconditioner(self.stale)
         norm = b.norm()
-        enough = BELOW * self.goal / norm if norm > 0 else 0.0
+        enough = settings.below * self.goal / norm if norm > 0 else 0.0
         self._asked = self._rtol
-        if self._own[0] and enough >= 10.0**-DIGITS:
-            self._asked = min(enough, LOOSEST)
+        if self._own[0] and enough >= 10.0**-settings.digits:
+            self._asked = min(enough, settings.loosest)
         most = self._most
         if self._own[1] and self.stale:
-            most = min(most, max(20, int(PATIENCE * self._first * -np.log10(self._asked))))
+            most = min(most, max(20, int(settings.patience * self._first * -np.log10(self._asked))))
         ksp.setTolerances(rtol=self._asked, max_it=most)
         if not self.stale:
             with _faster_products(ksp, self._problem):
@@ -128,10 +121,10 @@ class Kept:
             return
         each = self._ksp.getIterationNumber() / -np.log10(self._asked)
         self._first = self._first or each
-        if each > SLOWER * self._first:
+        if each > self._settings.slower * self._first:
             self.renew()
         exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
-        self.slow = self._small and not self.stale and (each > SLOW or exhausted)
+        self.slow = self._small and not self.stale and (each > self._settings.slow or exhausted)
 
     def destroy(self) -> None:
         """Free the matrices."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 from ...problems import Problem
@@ -66,7 +68,9 @@ def aggregation(threshold: str = "-1") -> dict[str, str]:
     }
 
 
-def preset(problem: Problem, A: PETSc.Mat | None = None) -> dict[str, str]:
+def preset(
+    problem: Problem, A: PETSc.Mat | None = None, settings: Any = None
+) -> dict[str, str]:
     """Options for a problem's tangent. Collective.
 
     Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of
@@ -76,14 +80,17 @@ def preset(problem: Problem, A: PETSc.Mat | None = None) -> dict[str, str]:
     Args:
         problem: What is solved.
         A: Matrix for its tangent, which may be assembled here to see the second field's block.
+        settings: :class:`forms.solving.settings.Settings` with the sizes from which on.
     """
     V = problem.u.function_space
     if V.mesh.topology.dim != 3:
         return direct(problem.symmetric)
+    direct_up_to = DIRECT_UP_TO if settings is None else settings.direct_up_to
+    split_from = SPLIT_FROM if settings is None else settings.split_from
     degree = problem.displacement_degree
-    if problem.minimization and problem.is_displacement and problem.size > DIRECT_UP_TO:
+    if problem.minimization and problem.is_displacement and problem.size > direct_up_to:
         return multigrid(degree)
-    most = SPLIT_FROM.get(V.mesh.topology.cell_name(), max(SPLIT_FROM.values()))
+    most = split_from.get(V.mesh.topology.cell_name(), max(split_from.values()))
     if problem.symmetric and problem.size > most and degree == 2 and _has_one_scalar(problem):
         if any(field.role is Role.UNDECLARED for field in problem.fields.values()):
             A = problem.create_matrix() if A is None else A
