@@ -131,6 +131,25 @@ class Path:
         """A recorded quantity over the steps, shape (steps, ...)."""
         return np.array([step.records[name] for step in self.steps])
 
+    def __repr__(self) -> str:
+        """How far it came, how, and what was recorded, in a few lines."""
+        runs = [step.convergence for step in self.steps]
+        recorded = sorted(self.steps[-1].records) if self.steps else []
+        lines = [
+            f"<Path of {self.u.name}, {self.problem.size} unknowns: load factor {self.begin:.6g} "
+            f"to {self.load:.6g} in {len(self.steps)} steps ({self.refused} refused), "
+            f"{sum(run.iterations for run in runs)} iterations, {self.seconds:.3g} s",
+            f" {self.reason or 'Not at its end.'}",
+            *([f" recorded: {', '.join(recorded)}"] if recorded else []),
+        ]
+        return "\n".join(lines) + ">"
+
+    def take_up(self, steps: Sequence[Any], counts: Mapping[str, Any]) -> None:
+        """Take the steps of an earlier run, whose path goes on."""
+        self.steps += [Step(*step) for step in steps]
+        self.refused, self.seconds = counts["refused"], counts["seconds"]
+        self.resumed = self.load
+
     def end(self, words: str) -> None:
         """Take note that the path is complete, and why it ended."""
         self.completed = True

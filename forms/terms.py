@@ -150,9 +150,7 @@ class FormTerm:
     def lift(self, b: PETSc.Vec) -> None:
         """Add K (prescribed - u): the change of the residual by a linear move to the supports."""
         x = self._u.x.petsc_vec
-        fem_petsc.apply_lifting(
-            b, [self.tangent_form], bcs=[self._conditions], x0=[x], alpha=-1.0
-        )
+        fem_petsc.apply_lifting(b, [self.tangent_form], bcs=[self._conditions], x0=[x], alpha=-1.0)
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
         """Assemble the tangent at u, in place of what was in A, supported rows those of identity.

@@ -20,10 +20,7 @@ from dolfinx import fem
 
 from demos.benchmarks.kills import kill, start
 from variform.forms import energies
-from variform.forms.native import canonical as _canonical
-from variform.forms.native import jit as _jit
-from variform.forms.native import library
-from variform.forms.native import once as _once
+from variform.forms.native import canonical, jit, library, once
 from variform.forms.operators import energy as operators
 from variform.forms.operators import stretches
 
@@ -98,7 +95,7 @@ def test_a_canonical_form_has_the_values_of_the_given_one():
     many = [fem.Constant(body, float(k)) for k in range(12)]
     x = ufl.variable(ufl.SpatialCoordinate(body))
     inner = sum(c * ufl.inner(x, x) ** k for k, c in enumerate(many))
-    written = _canonical.canonical(ufl.diff(inner, x)[0] * ufl.dx)
+    written = canonical.canonical(ufl.diff(inner, x)[0] * ufl.dx)
     assert not {type(e).__name__ for e in _nodes(written)} & {"Variable", "Label"}
     assert [c.count() for c in written.constants()] == list(range(11))  # without the first
     one, other = (fem.form(f) for f in (written, ufl.diff(inner, x)[0] * ufl.dx))
@@ -123,7 +120,7 @@ def test_a_second_call_derives_and_compiles_nothing(monkeypatch):
         raise AssertionError("called again")
 
     monkeypatch.setattr(stretches, "expand_derivatives", refuse)
-    monkeypatch.setattr(_jit, "compiled", refuse)
+    monkeypatch.setattr(jit, "compiled", refuse)
     again = energies.ogden.evaluate(F, [2.0, -1.0], [2.0, -2.0])[0]
     assert np.allclose(again, 2 * first, rtol=1e-14)
     assert extended.energy(F, 2 * MU, 2 * LMBDA) == pytest.approx(2 * low, rel=1e-14)
@@ -219,7 +216,7 @@ print(place.read_text())
 """
 
 
-def once(tmp_path, seconds):
+def made_once(tmp_path, seconds):
     script = ONCE.replace("sys.argv[3]", repr(str(seconds)))
     for k, name in enumerate(("place", "log"), 1):
         script = script.replace(f"sys.argv[{k}]", repr(str(tmp_path / "cache" / name)))
@@ -230,9 +227,9 @@ def test_others_wait_as_long_as_the_one_that_makes_it_lives(tmp_path):
     """Two at a time: one works, one waits; when the first is killed the second does the work."""
     cache = tmp_path / "cache"
     (tmp_path / "cache").mkdir()
-    first = once(tmp_path, HANGS)
+    first = made_once(tmp_path, HANGS)
     wait_for((cache / "log").exists, first)
-    others = [once(tmp_path, 0.1) for _ in range(2)]
+    others = [made_once(tmp_path, 0.1) for _ in range(2)]
     try:
         time.sleep(1.5)
         assert all(other.poll() is None for other in others)
@@ -249,11 +246,11 @@ def test_others_wait_as_long_as_the_one_that_makes_it_lives(tmp_path):
 
 def test_who_waits_long_says_for_what(tmp_path, monkeypatch, capfd):
     """One sentence with the lock's name, and the wait goes on."""
-    monkeypatch.setattr(_once, "PATIENCE", 0)
+    monkeypatch.setattr(once, "PATIENCE", 0)
     place, said = tmp_path / "place", ""
     with ThreadPoolExecutor(1) as pool:
-        with _once._locked(tmp_path / "place.lock"):
-            waiting = pool.submit(_once.make_once, place, lambda folder: folder)
+        with once._locked(tmp_path / "place.lock"):
+            waiting = pool.submit(once.make_once, place, lambda folder: folder)
             while "that compiles the same" not in said:
                 assert not waiting.done()
                 said += capfd.readouterr().err
@@ -268,7 +265,7 @@ def test_where_files_cannot_be_locked_each_works_by_itself(tmp_path, monkeypatch
     def no_locks(*_):
         raise OSError(37, "No locks available")
 
-    monkeypatch.setattr(_once.fcntl, "flock", no_locks)
+    monkeypatch.setattr(once.fcntl, "flock", no_locks)
     place, made = tmp_path / "place", []
 
     def make(folder):
@@ -276,10 +273,10 @@ def test_where_files_cannot_be_locked_each_works_by_itself(tmp_path, monkeypatch
         (folder / "new" / "text").write_text(f"of {len(made)}")
         made.append(folder)
         if len(made) == 1:  # another begins and ends meanwhile
-            _once.make_once(place, make)
+            once.make_once(place, make)
         return folder / "new"
 
-    _once.make_once(place, make)
+    once.make_once(place, make)
     assert (place / "text").read_text() == "of 1" and len(made) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["place"]
 
@@ -288,8 +285,8 @@ def test_where_files_cannot_be_locked_each_works_by_itself(tmp_path, monkeypatch
 def test_a_slow_compile_of_another_is_no_failure(tmp_path):
     """Two cold runs, and a compiler that takes 70 s: longer than any patience there was."""
     slow = tmp_path / "slow-cc"
-    once = f"[ -e {tmp_path}/slept ] || {{ touch {tmp_path}/slept; sleep 70; }}"
-    slow.write_text(f'#!/bin/sh\n{once}\nexec {_jit.compiler()} "$@"\n')
+    sleep_once = f"[ -e {tmp_path}/slept ] || {{ touch {tmp_path}/slept; sleep 70; }}"
+    slow.write_text(f'#!/bin/sh\n{sleep_once}\nexec {jit.compiler()} "$@"\n')
     slow.chmod(0o755)
     both = [start(COLD, tmp_path, CC=str(slow)) for _ in range(2)]
     said = [process.communicate(timeout=HANGS) for process in both]
@@ -331,19 +328,17 @@ except RuntimeError as error:
         print(*said, sep="\\n")
 """
     alone, *both = (
-        line
-        for ranks in (1, 2)
-        for line in run("-c", script, ranks=ranks).stdout.splitlines()
+        line for ranks in (1, 2) for line in run("-c", script, ranks=ranks).stdout.splitlines()
     )
     assert alone.startswith("compiling a form failed (") and both == [alone, alone]
 
 
 def test_what_is_there_is_used_without_a_lock(tmp_path, monkeypatch):
     """So the cache may be readable only."""
-    monkeypatch.delattr(_once, "_locked")
+    monkeypatch.delattr(once, "_locked")
     place = tmp_path / "place"
     place.write_text("whole")
-    _once.make_once(place, lambda folder: folder)
+    once.make_once(place, lambda folder: folder)
     assert place.read_text() == "whole"
 
 
@@ -390,16 +385,16 @@ def test_a_compiler_without_march_native_is_served(refused, native, tmp_path, mo
     other.write_text(COMPILER.format(refused=refused))
     other.chmod(0o755)
     monkeypatch.setenv("CC", str(other))
-    _jit._native.cache_clear()
+    jit._native.cache_clear()
     try:
-        assert [f for f in _jit.flags(MPI.COMM_SELF) if "native" in f] == native
+        assert [f for f in jit.flags(MPI.COMM_SELF) if "native" in f] == native
     finally:
-        _jit._native.cache_clear()
+        jit._native.cache_clear()
 
 
 def test_structures_are_compared_with_the_librarys(monkeypatch):
     """Python's declaration of a C structure with a field less is refused when it is loaded."""
-    flags = tuple(_jit.flags(MPI.COMM_SELF))
+    flags = tuple(jit.flags(MPI.COMM_SELF))
     library.library(MPI.COMM_SELF)
     shorter = library._DECLARATIONS.replace("int facets; long count;", "long count;")
     monkeypatch.setattr(library, "_DECLARATIONS", shorter)

@@ -110,9 +110,8 @@ def test_the_search_refuses_such_states_on_its_way(mode, monkeypatch):
     else:
         work = forms.residual(load, u)
     seen = []
-    System = forms.Problem
-    energy = System.energy
-    monkeypatch.setattr(System, "energy", lambda s: seen.append(energy(s)) or seen[-1])
+    energy = forms.Problem.energy
+    monkeypatch.setattr(forms.Problem, "energy", lambda s: seen.append(energy(s)) or seen[-1])
     forms.solve(potential, u, supports, virtual_work=work)
     assert not np.all(np.isfinite(seen))
     stretch = (-3 + np.sqrt(13)) / 2  # mu (L - 1/L) = -3 mu

@@ -56,11 +56,11 @@ def iterations(w, potential, held):
     "Of one tangent solve, for forces that vary from node to node."
     system = forms.Problem(potential, w, held)
     newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
-    newton.scaled.measure()
-    newton._assemble_tangent()
+    newton.tangent.scaled.measure()
+    newton.tangent.assemble()
     ksp = newton.snes.getKSP()
-    ksp.setOperators(newton.A)
-    b = newton.b.duplicate()
+    ksp.setOperators(newton.tangent.A)
+    b = newton.runs.b.duplicate()
     V = w.function_space
     mixed = V.num_sub_spaces == 2
     nodes, numbers = V.sub(0).collapse() if mixed else (V, np.arange(b.getLocalSize()))

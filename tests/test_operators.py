@@ -21,7 +21,7 @@ from dolfinx.mesh import CellType
 
 from variform import forms, meshes
 from variform.forms import _dolfinx, energies, stress
-from variform.forms.native import jit as _jit
+from variform.forms.native import jit
 from variform.forms.native.library import library
 
 PAIRS = {
@@ -827,13 +827,13 @@ def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch)
     """
     libraries = []
     for name in "libasan.so", "libubsan.so", "libstdc++.so.6":
-        command = [*shlex.split(_jit.compiler()), f"-print-file-name={name}"]
+        command = [*shlex.split(jit.compiler()), f"-print-file-name={name}"]
         found = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
         if not Path(found).is_absolute():
             pytest.skip(f"the compiler has no {name}")
         libraries.append(found)
     flags = ["-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
-    flags += _jit._native()
+    flags += jit._native()
     options = {"cffi_extra_compile_args": flags}
     (tmp_path / "dolfinx_jit_options.json").write_text(json.dumps(options))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -241,7 +241,7 @@ def test_quadratic_convergence_near_the_solution():
     ]
     newton = forms.solving.Newton(forms.Problem(psi * ufl.dx, u, supports), rtol=1e-13, ctol=1e-12)
     norms = []
-    for snes in (newton.snes, newton._by_residual):
+    for snes in newton.runs.solvers:
         snes.setMonitor(lambda snes, it, norm: norms.append(norm))
     newton.predict()
     assert newton.solve().converged

@@ -21,7 +21,7 @@ from dolfinx.fem import petsc as fem_petsc
 from variform import forms, meshes
 from variform.forms import energies, insertion
 from variform.forms.compilation import compiled
-from variform.forms.native import jit as _jit
+from variform.forms.native import jit
 
 from .record import Table, median_times
 
@@ -36,7 +36,7 @@ class Stored:
         self.mesh = V.mesh
         self.F = ufl.Identity(3) + ufl.grad(u)
         points, _ = basix.make_quadrature(basix.CellType.tetrahedron, degree)
-        self.operand = _jit.expression(self.F, points, self.mesh)
+        self.operand = jit.expression(self.F, points, self.mesh)
         self.cells = np.arange(self.mesh.topology.index_map(3).size_local, dtype=np.int32)
         self.P, self.A = (fem.Function(self._space(degree, s)) for s in ((3, 3), (3, 3, 3, 3)))
         dx = ufl.dx(degree=degree)

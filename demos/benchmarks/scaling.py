@@ -119,19 +119,19 @@ def _pieces(system, u):
     """Seconds of each piece, and counts of what was done."""
     u.interpolate(lambda x: bent(x.T).T)
     newton = forms.solving.Newton(system, options={"ksp_rtol": 1e-8})
-    A, b, x = newton.A, newton.b, newton.b.duplicate()
+    A, b, x = newton.tangent.A, newton.runs.b, newton.runs.b.duplicate()
     work = {"residual": lambda: system.residual(b), "tangent": lambda: system.tangent(A)}
     seconds = {name: timed(do, PIECES[name]) for name, do in work.items()}
     # A right-hand side, and a tangent at rest, that no partition changes.
     b.array[:] = u.x.petsc_vec.array_r
     b.array[system.constrained] = 0
     u.x.array[:] = 0
-    newton.scaled.measure()
+    newton.tangent.scaled.measure()
     ksp = newton.snes.getKSP()
     pc = ksp.getPC()
 
     def prepare():
-        newton._kept.prepare(A)
+        newton.tangent.kept.prepare(A)
         ksp.setOperators(A)
         ksp.setUp()
 

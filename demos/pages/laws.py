@@ -50,6 +50,8 @@ LAWS = {
     "Hencky's disk, weight, enclosed gas, a balloon's stability",
     "paths": "arch and frame against published paths, PETSc's arc length, Euler's column and the "
     "elastica, pins",
+    "stepping": "load steps, targets and arc length alike: broken off, a path goes on bit by bit; "
+    "an interrupt names the checkpoint; how a path went, in a few lines",
     "checkpoint": "a path taken up again is the uninterrupted one; kills at any moment, full "
     "disks, wrong meshes",
     "multigrid": "multigrid over the order and the field split find MUMPS's solution, at "

@@ -12,7 +12,7 @@ from dolfinx import fem, mesh
 
 from variform import forms
 from variform.forms.differentiation import update_dependents
-from variform.forms.native import jit as _jit
+from variform.forms.native import jit
 from variform.forms.operators.evaluate import at_points
 
 from .energies import ACROSS, ALONG, FAMILIES, FIGURES, MU
@@ -38,7 +38,7 @@ class Stress:
         point = np.full((1, 3), 0.25)
         entries = [density] + [P[i, j] for i in range(shape[0]) for j in range(shape[1])]
         self._parts = at_points(ufl.as_vector(entries), self.mesh, point)
-        self._kernel = _jit.expression(self._parts, point, self.mesh)
+        self._kernel = jit.expression(self._parts, point, self.mesh)
 
     def __call__(self, F):
         """P at an array F."""

@@ -64,12 +64,10 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
     return plain
 
 
-
 def peak_memory(comm: MPI.Comm) -> float:
     """Largest resident memory [MB] that all ranks together have used so far. Collective."""
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(comm.allreduce(kilobytes)) / 1024
-
 
 
 def _finite(value: Any) -> Any:
@@ -79,7 +77,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
 
 
 def _plain(value: Any) -> Any:

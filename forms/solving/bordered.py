@@ -11,7 +11,8 @@ direction, as a flat sheet, it is damped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -170,6 +171,17 @@ class Bordered:
             solver="Newton's method",
         )
 
+    def memory(self) -> float | None:
+        """Scale of the damping, where there is one."""
+        return None if self.damping is None else self.damping.scale
+
+    def recall(self, scale: float | None) -> None:
+        """Go on as the solver of an earlier run, with its damping. Collective."""
+        self.fresh = False
+        if scale is not None:
+            self.damping = Damping(self.problem, self.A, self.scaled.free, Settings())
+            self.damping.scale = scale
+
     def tangent(self) -> int | None:
         """Solve K du_q = R_q at the present state: the path goes along (-du_q, 1). Collective.
 
@@ -261,6 +273,15 @@ class Bordered:
         """Assemble a functional at the present state. Collective."""
         self.problem.prepare()
         return float(self.problem.comm.allreduce(fem.assemble_scalar(form)))
+
+    @contextmanager
+    def kept_if_sound(self) -> Iterator[None]:
+        """Free the PETSc objects if what is built upon them is refused."""
+        try:
+            yield
+        except BaseException:
+            self.destroy()
+            raise
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -115,6 +115,11 @@ class Runs:
             snes.destroy()
         self._make()
 
+    @property
+    def solvers(self) -> list[PETSc.SNES]:
+        """All that may iterate, on the one linear solver."""
+        return list(self._solvers.values())
+
     def knows(self, merit: Merit) -> bool:
         """Whether there is a SNES for a merit: the user may have chosen the line search."""
         return merit in self._solvers

@@ -128,9 +128,7 @@ class Tangent:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""
         force = self._force() or 1.0
         size = self.scaled.size
-        self.damping = Damping(
-            self.problem, self.A, self.scaled.free, self._settings, force / size
-        )
+        self.damping = Damping(self.problem, self.A, self.scaled.free, self._settings, force / size)
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Solve K x = b; whether that succeeded. Collective."""

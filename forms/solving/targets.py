@@ -3,26 +3,19 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
-
-from petsc4py import PETSc
 
 import ufl
 from dolfinx import fem
 
-from ..compilation import compiled
-from ..paths import Path, Step, check_record, recorded
+from ..files.checkpoint import Archive, Checkpoint
+from ..paths import Path, check_record
 from ..problems import Problem
-from ..quadrature import with_quadrature
 from ..supports import Support
-from ..variation import residual
-from .bordered import Bordered, by_constant
-from .progress import bar_of
-from .supported import failure
-
-MAX_HALVINGS = 8
+from .bordered import Bordered
+from .controls.target import Targets
+from .stepping import advance
 
 
 def control(
@@ -39,6 +32,7 @@ def control(
     max_iterations: int = 30,
     record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
+    checkpoint: Checkpoint | None = None,
     progress: bool = True,
 ) -> Path:
     """Follow equilibrium while a functional of u goes through given values. Collective.
@@ -62,6 +56,8 @@ def control(
         max_iterations: Newton iterations per step.
         record: Functions of the problem, evaluated after each step.
         on_step: Called with the path after each step.
+        checkpoint: Where the path is saved, and taken up when the script is started again; see
+            :class:`forms.Checkpoint`.
         progress: Show a progress bar on rank 0.
 
     Returns:
@@ -72,70 +68,9 @@ def control(
         ValueError: the potential does not contain q, or the functional does not depend on u.
     """
     check_record(record)
+    archive = None if checkpoint is None else Archive(checkpoint, u, "path of control")
     bordered = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    held = _Held(bordered, functional)
-    path, start = Path(u, bordered.problem, begin=bordered.load), time.perf_counter()
-    reached = held.measure()
-    before, load = u.x.array.copy(), bordered.load
-    bar = bar_of("control", len(targets), bordered.problem.comm, progress)
-    try:
-        for target in map(float, targets):
-            part, halvings = 1.0, 0
-            while reached != target:
-                held.aim = target if part == 1 else reached + part * (target - reached)
-                outcome = bordered.solve(held)
-                if outcome.converged:
-                    before, load, reached, part = u.x.array.copy(), bordered.load, held.aim, 1.0
-                    continue
-                path.refused += 1
-                u.x.array[:], q.value = before, load
-                part, halvings = part / 2, halvings + 1
-                if halvings > MAX_HALVINGS:
-                    raise failure(
-                        path,
-                        f"{outcome.sentence()}, on the way to {target:.6g} from {reached:.6g}. The "
-                        "last converged state is kept.",
-                        outcome.advice or "Give targets that lie closer.",
-                    )
-            notes = recorded(record, bordered.problem)
-            path.steps.append(Step(load, outcome, {"target": target, **notes}))
-            bar.update()
-            bar.set_postfix_str(f"q = {load:.4g}, {outcome.iterations} iterations")
-            if on_step is not None:
-                on_step(path)
-    finally:
-        u.x.array[:], q.value = before, load
-        bordered.problem.prepare()
-        bordered.destroy()
-        bar.close()
-        path.seconds = time.perf_counter() - start
-    path.end(f"All {len(path.steps)} targets reached")
-    return path
-
-
-class _Held:
-    """The constraint functional(u, q) = aim."""
-
-    def __init__(self, bordered: Bordered, functional: ufl.Form) -> None:
-        self.bordered = bordered
-        functional = with_quadrature(functional, bordered.degree)
-        self._g = compiled(functional)
-        self._g_u = compiled(residual(functional, bordered.problem.u))
-        g_q = by_constant(functional, bordered.q)
-        self._g_q = None if g_q.empty() else compiled(g_q)
-        self.start = self.aim = self.measure()
-
-    def measure(self) -> float:
-        """The functional at the present state."""
-        return self.bordered.integral(self._g)
-
-    @property
-    def scale(self) -> float:
-        return abs(self.aim) or abs(self.aim - self.start)
-
-    def value(self) -> float:
-        return self.measure() - self.aim
-
-    def gradient(self, g_u: PETSc.Vec) -> float:
-        self.bordered.assemble(self._g_u, g_u)
-        return self.bordered.integral(self._g_q) if self._g_q is not None else 0.0
+    path = Path(u, bordered.problem, begin=bordered.load)
+    with bordered.kept_if_sound():
+        along = Targets(path, bordered, functional, targets)
+    return advance(along, record, on_step, archive, progress)

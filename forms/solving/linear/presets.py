@@ -68,9 +68,7 @@ def aggregation(threshold: str = "-1") -> dict[str, str]:
     }
 
 
-def preset(
-    problem: Problem, A: PETSc.Mat | None = None, settings: Any = None
-) -> dict[str, str]:
+def preset(problem: Problem, A: PETSc.Mat | None = None, settings: Any = None) -> dict[str, str]:
     """Options for a problem's tangent. Collective.
 
     Multigrid for symmetric displacement problems of bodies in 3D above 5 thousand degrees of

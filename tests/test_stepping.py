@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""The one loop of all paths: each control saves, goes on bit by bit, and tells how it went."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from test_checkpoint import Stopped, files, names, stop_after, twist
+from test_checkpoint import neo_hookean as solid
+from test_control import sphere
+
+from variform import forms, meshes
+
+STRETCHES = (1.05, 1.15, 1.3, 1.5, 1.8, 3.0)
+
+
+def targets(**options):
+    """A balloon's volumes, the last one so far that it takes halved steps."""
+    potential, u, held, p, volume = sphere(0.5, 1)
+    aims = forms.integral(volume) * np.array(STRETCHES) ** 3
+    return forms.control(potential, u, held, p, volume, aims, progress=False, **options)
+
+
+def arc(**options):
+    """A block that is bent, in lengths of its own choice."""
+    body = meshes.block(MPI.COMM_SELF, (4.0, 1.0), n=(8, 2), cells="quadrilateral")
+    u, q = forms.displacement(body), forms.load_factor(body)
+    load = forms.dead_traction(u, (0 * q, -0.2 * q), body.ds("right"))
+    held = [forms.clamp(u, body.facets("left"))]
+    options = {"step": 0.1, "to": 1.0, "progress": False} | options
+    return forms.arc_length(solid(u) + load, u, held, q, **options)
+
+
+def walk(**options):
+    """A block that is twisted by load steps."""
+    return forms.follow(*twist(), progress=False, **options)
+
+
+PATHS = {"argvalues": [walk, targets, arc], "ids": ["follow", "control", "arc_length"]}
+
+
+@pytest.mark.parametrize("lead", **PATHS)
+def test_a_path_broken_off_goes_on_bit_by_bit(lead, tmp_path):
+    """Loads, iterations, residuals, records and the last state are those without a break."""
+    options = {"record": {"least": lambda problem: float(problem.u.x.array.min())}}
+    plain = lead(checkpoint=forms.Checkpoint(tmp_path / "plain"), **options)
+    broken = {"checkpoint": forms.Checkpoint(tmp_path / "broken"), **options}
+    with pytest.raises(Stopped):
+        lead(on_step=stop_after(3), **broken)
+    path = lead(**broken)
+    assert len(plain.steps) > 4 and plain.resumed is None
+    assert path.resumed == plain.steps[1].load and path.completed
+    assert path.steps == plain.steps and path.refused == plain.refused
+    assert np.array_equal(path.u.x.array, plain.u.x.array)
+    assert path.reason == plain.reason
+
+
+@pytest.mark.parametrize("lead", **PATHS)
+def test_a_completed_path_comes_back_at_once(lead, tmp_path):
+    """A second run solves nothing, and hands on the same steps."""
+    first = lead(checkpoint=forms.Checkpoint(tmp_path))
+    kept = names(tmp_path)
+    more = stop_after(len(first.steps) + 1)
+    second = lead(checkpoint=forms.Checkpoint(tmp_path), on_step=more)
+    assert second.steps == first.steps and second.completed and names(tmp_path) == kept
+
+
+@pytest.mark.parametrize("lead", **PATHS)
+def test_an_interrupt_names_the_checkpoint(lead, tmp_path, capsys):
+    """Ctrl-C during a step: the states so far are in the folder that the sentence names."""
+
+    def interrupt(path):
+        if len(path.steps) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        lead(checkpoint=forms.Checkpoint(tmp_path), on_step=interrupt)
+    sentence = f"Interrupted: the last checkpoint is in {tmp_path}."
+    assert sentence in capsys.readouterr().err and names(tmp_path) == files(1, 2)
+
+
+@pytest.mark.parametrize("lead", **PATHS)
+def test_a_path_tells_how_it_went(lead):
+    """At most ten lines: unknowns, load factors, steps, iterations, its end and its records."""
+    path = lead(record={"least": lambda problem: float(problem.u.x.array.min())})
+    words = repr(path)
+    assert len(words.splitlines()) <= 10
+    iterations = sum(step.convergence.iterations for step in path.steps)
+    for part in (
+        f"{path.problem.size} unknowns",
+        f"to {path.load:.6g} in {len(path.steps)} steps ({path.refused} refused)",
+        f"{iterations} iterations",
+        path.reason,
+        "recorded: least",
+    ):
+        assert part in words
