@@ -10,8 +10,9 @@ from mpi4py import MPI
 import numpy as np
 
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, gmsh, merge, name_entities, require_groups, session, set_size
+from ._gmsh import extract, generate, name_entities, require_groups, set_size
 from ._grid import Grid
+from ._session import gmsh, merge, session
 from ._xdmf import read_xdmf
 from .body import Body, distribute
 
