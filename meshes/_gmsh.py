@@ -31,6 +31,7 @@ PRIMARY = {name: kind for kind, (name, order) in CELLS.items() if order == 1}
 TANGLED = 1e-3
 STRAIGHTENING = 8
 
+
 def generate(dim: int, order: int) -> None:
     """Mesh the current model up to dimension `dim`, curved cells untangled where need be."""
     gmsh.option.setNumber("Mesh.ElementOrder", order)
@@ -203,6 +204,10 @@ def _tagged(
                 for kind, numbers, nodes in elements:
                     kind, start = int(kind), sizes.get(int(kind), 0)
                     rows = index[nodes.astype(np.int64)].reshape(len(numbers), -1)
+                    # With each view that it appends to a file gmsh writes the mesh once more.
+                    _, first = np.unique(numbers, return_index=True)
+                    if len(first) < len(numbers):
+                        rows, numbers = rows[np.sort(first)], numbers[np.sort(first)]
                     found.setdefault(kind, []).append((rows, numbers.astype(np.int64)))
                     sizes[kind] = start + len(numbers)
                     spans[entity].append((kind, start, sizes[kind]))
@@ -216,17 +221,16 @@ def _tagged(
             f"{source}: the physical groups of dimension {dim} hold {kinds}: a body needs one "
             "type, of triangles, quadrilaterals, tetrahedra or hexahedra of order 1 or 2."
         )
-    parts, labels = [], [np.empty(0, np.int64)]
+    parts: list[Part] = []
+    labels: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     for kind, pieces in found.items():
         rows = np.concatenate([r for r, _ in pieces])
         labels += [n for _, n in pieces]
         rows = rows[:, from_gmsh_order(CELLS[kind][0], rows.shape[1])]
-        members = {
-            name: [np.arange(a, b) for k, a, b in those if k == kind] for name, those in sets.items()
-        }
-        part_sets = {
-            name: np.concatenate([np.empty(0, np.int64), *m]) for name, m in members.items()
-        }
+        part_sets = {}
+        for name, those in sets.items():
+            members = [np.arange(a, b) for k, a, b in those if k == kind]
+            part_sets[name] = np.concatenate([np.empty(0, np.int64), *members])
         parts.append(Part(f"dimension {dim}", CELLS[kind][0], rows, part_sets, tags))
     if not parts and sets:
         name = next(iter(sets))

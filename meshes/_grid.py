@@ -82,7 +82,10 @@ class Grid:
 
     @cached_property
     def facets_of_cells(self) -> NDArray[np.int64]:
-        """Vertices of each cell's facets, ascending: all cells' first facets, then their second …"""
+        """Vertices of each cell's facets, ascending: all cells' first, then all second, ….
+
+        Shape (facets of a cell x number of cells, vertices of a facet).
+        """
         corners = basix.topology(self._cell_type)[self.tdim - 1]
         rows = np.concatenate([self.cells[:, c] for c in corners])
         rows.sort(axis=1)

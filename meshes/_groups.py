@@ -106,7 +106,7 @@ def encode(
 
 def check_held(source: str, kind: str, tags: NDArray[np.int32], names: Mapping[str, Tag]) -> None:
     """Raise ValueError for a name that no cell (facet) bears."""
-    present = set(np.unique(tags).tolist())
+    present = {int(tag) for tag in np.unique(tags)}
     what = {"region": "cell", "boundary": "facet"}[kind]
     for name, tag in names.items():
         if present.isdisjoint(tag if isinstance(tag, tuple) else (tag,)):

@@ -60,7 +60,7 @@ def read_by_dolfinx(
             "(meshio: data_format='XML')."
         )
     name = next(g.get("Name", "") for g in grids if g.find("Geometry") is not None)
-    parts = []
+    parts: list[Part] = []
     with XDMFFile(MPI.COMM_SELF, str(file), "r") as xdmf:
         points = xdmf.read_geometry_data(name)
         shape, order = xdmf.read_cell_type(name)
@@ -78,8 +78,7 @@ def read_by_dolfinx(
             if attribute is None or attribute.get("Center") != "Cell":
                 continue
             tags = xdmf.read_meshtags(mesh, tag_name)
-            kind = mesh.basix_cell() if tags.dim == tdim else None
-            kind = kind or basix.cell.subentity_types(mesh.basix_cell())[tags.dim][0]
+            of_facets = basix.cell.subentity_types(mesh.basix_cell())[tags.dim][0]
             layout = coordinate_map(geometry).create_dof_layout()
             number = len(basix.topology(mesh.basix_cell())[tags.dim])
             closure = np.array([layout.entity_closure_dofs(tags.dim, i) for i in range(number)])
@@ -93,7 +92,7 @@ def read_by_dolfinx(
             nodes = geometry.input_global_indices[dofs]
             sets, numbers = sets_of_tags(tags.values)
             if tags.dim < tdim:
-                parts.append(Part(tag_name, kind.name, nodes, sets, numbers))
+                parts.append(Part(tag_name, of_facets.name, nodes, sets, numbers))
                 continue
             cell_of = mesh.topology.original_cell_index[tags.indices]
             parts[0].sets = {key: cell_of[members] for key, members in sets.items()}

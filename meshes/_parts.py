@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import basix
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from ._grid import Grid
 from ._groups import encode, merge_copies, row_keys
 
-__all__ = ["CELLS", "Part", "assemble", "sets_of_tags", "split_tags"]
+__all__ = ["CELLS", "Part", "assemble", "sets_of_tags", "shaped", "split_tags"]
 
 # Number of nodes of DOLFINx's cells of order 1 and 2.
 CELLS = {
@@ -108,7 +109,16 @@ def _are_whole(values: NDArray[np.generic]) -> bool:
     )
 
 
-def sets_of_tags(values: NDArray[np.generic]) -> tuple[dict[str, NDArray[np.int64]], dict[str, int]]:
+def shaped(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Values of shape (n, 1) as scalars, (n, 9) as tensors (n, 3, 3); others as they are."""
+    width = values.shape[1:]
+    shape = () if width == (1,) else (3, 3) if width == (9,) else width
+    return np.asarray(values, dtype=np.float64).reshape(len(values), *shape)
+
+
+def sets_of_tags(
+    values: NDArray[np.generic],
+) -> tuple[dict[str, NDArray[np.int64]], dict[str, int]]:
     """Sets called by their tags, "1", "2", …, and the tags themselves."""
     numbers = np.asarray(values).ravel().astype(np.int64)
     tags = {str(tag): int(tag) for tag in np.unique(numbers)}
@@ -221,7 +231,8 @@ def _join(
 
 def _numbered(tags: Mapping[str, int], sets: Mapping[str, object]) -> dict[str, int]:
     """The tags that there are, and numbers for the names that have none."""
-    numbered = {name: tag for name, tag in tags.items() if name in sets}
+    # DOLFINx integrates everywhere where a measure says -1.
+    numbered = {name: tag for name, tag in tags.items() if name in sets and tag >= 0}
     free = max(0, *numbered.values()) + 1 if numbered else 1
     for name in sets:
         if name not in numbered:
@@ -237,7 +248,6 @@ def _join_data(parts: Sequence[Part]) -> dict[str, NDArray[np.float64]]:
     for part in parts:
         stop = start + len(part.nodes)
         for name, values in part.data.items():
-            values = values.reshape(len(values), *(values.shape[1:] if values.size > len(values) else ()))
             whole = found.setdefault(name, np.full((number, *values.shape[1:]), np.nan))
             whole[start:stop] = values
         start = stop

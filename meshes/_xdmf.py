@@ -13,7 +13,7 @@ from ._dolfinx import from_vtk_order
 from ._grid import Grid
 from ._groups import row_keys
 from ._hdf import has_h5py, read_by_dolfinx, read_dataset
-from ._parts import Part, assemble, sets_of_tags, split_tags
+from ._parts import Part, assemble, sets_of_tags, shaped, split_tags
 
 __all__ = ["read_xdmf"]
 
@@ -75,12 +75,13 @@ def read_xdmf(file: Path, gdim: int | None) -> Grid:
             _add(parts, _parts(file, grid))
         point_data: dict[str, NDArray[Any]] = {}
         for grid in (*grids, *series):
-            point_data |= _attributes(file, grid, "node", len(points))
+            nodal = _attributes(file, grid, "node", len(points))
+            point_data |= {name: shaped(values) for name, values in nodal.items()}
         for grid in series:
             sizes = {len(part.nodes): part for part in parts if part.dim == parts[0].dim}
             for name, values in _attributes(file, grid, "cell").items():
                 if len(values) in sizes:
-                    sizes[len(values)].data[name] = np.asarray(values, dtype=np.float64)
+                    sizes[len(values)].data[name] = shaped(values)
     except (RuntimeError, OSError, KeyError, IndexError, ValueError, TypeError) as error:
         if str(error).startswith(file.name):
             raise
@@ -147,10 +148,11 @@ def _parts(file: Path, grid: ElementTree.Element) -> list[Part]:
     kind = topology.get("TopologyType", topology.get("Type", "")).lower()
     kind = SHORT.get(kind, kind)
     numbers = _numbers(file, topology).astype(np.int64)
+    rows: dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
     if kind == "mixed":
         rows = _unmix(numbers.ravel())
     elif kind in TYPES:
-        nodes = numbers.reshape(-1, TYPES[kind][1])
+        nodes: NDArray[Any] = numbers.reshape(-1, TYPES[kind][1])
         rows = {kind: (nodes, np.arange(len(nodes)))}
     else:
         raise ValueError(f"its topology type '{kind}' is not one of {', '.join(TYPES)}")
@@ -163,7 +165,7 @@ def _parts(file: Path, grid: ElementTree.Element) -> list[Part]:
         part = Part(name, cell, nodes[:, from_vtk_order(cell, length)])
         if chosen is not None:
             part.sets, part.tags = sets_of_tags(arrays[chosen][places])
-        part.data = {key: values[places] for key, values in data.items()}
+        part.data = {key: shaped(values[places]) for key, values in data.items()}
         found.append(part)
     return found
 
@@ -210,9 +212,7 @@ def _attributes(
                 )
         if name in found:
             raise ValueError(f"two of its attributes are named '{name}'")
-        shape = values.shape[1:]
-        shape = {(1,): (), (9,): (3, 3)}.get(shape, shape)
-        found[name] = values.reshape(len(values), *shape)
+        found[name] = values
     return found
 
 
