@@ -422,7 +422,9 @@ def test_a_path_speaks_of_its_own_solver_and_start():
     load = forms.dead_traction(u, ufl.as_vector([q, 0 * q]), body.ds("right"))
     held = [forms.clamp(u, body.facets("left"))]
     with pytest.raises(forms.NotConverged, match=r"^Newton's method stopped after 0 it") as failed:
-        forms.arc_length(psi + load, u, held, q, step=0.1, to=0.9, max_iterations=0, progress=False)
+        forms.arc_length(
+            psi + load, u, held, q, step=0.1, to=0.9, max_iterations=0, progress=False
+        )
     assert failed.value.path.load == 0.7
     with pytest.raises(forms.NotConverged, match="^SNES stopped after 1 iterations") as failed:
         limit = {"snes_max_it": 1, "snes_rtol": 1e-14}
