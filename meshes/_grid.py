@@ -2,7 +2,6 @@
 """A whole mesh as arrays on one process, and the checks on it."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import basix
 import numpy as np
@@ -16,6 +15,9 @@ __all__ = ["Grid"]
 # Relative size below which a Jacobian determinant counts as zero: det J against the product of the
 # lengths of J's columns, a number between 0 and 1 that does not depend on units.
 DEGENERATE = 1e-10
+
+# Facets that are looked at together: what they take does not grow with the mesh.
+CHUNK = 2**15
 
 
 @dataclass
@@ -80,22 +82,23 @@ class Grid:
     def _cell_type(self) -> basix.CellType:
         return basix.CellType[self.cell]
 
-    @cached_property
-    def facets_of_cells(self) -> NDArray[np.int64]:
+    def _facets_of_cells(self) -> NDArray[np.int32]:
         """Vertices of each cell's facets, ascending: all cells' first, then all second, ….
 
         Shape (facets of a cell x number of cells, vertices of a facet).
         """
         corners = basix.topology(self._cell_type)[self.tdim - 1]
-        rows = np.concatenate([self.cells[:, c] for c in corners])
+        # 32 bits: there are four of them for each cell, and rank 0 holds all.
+        cells = self.cells.astype(np.int32)
+        rows = np.concatenate([cells[:, c] for c in corners])
         rows.sort(axis=1)
         return rows
 
     def exterior_facets(self) -> NDArray[np.int64]:
         """Vertices of the facets that belong to one cell only."""
-        rows = self.facets_of_cells
+        rows = self._facets_of_cells()
         _, first, counts = np.unique(row_keys(rows), return_index=True, return_counts=True)
-        return rows[first[counts == 1]]
+        return rows[first[counts == 1]].astype(np.int64)
 
     def check(self) -> None:
         """Refuse a mesh on which an energy would be wrong without a word, and drop unused points.
@@ -106,11 +109,11 @@ class Grid:
         """
         check_held(self.source, "region", self.regions, self.region_names)
         check_held(self.source, "boundary", self.boundaries, self.boundary_names)
-        order, keys = self._complete_facets()
+        rows = self._facets_of_cells()
+        order, same = self._complete_facets(rows)
         self._check_shape()
         if self.gdim == self.tdim:
-            self._check_folds(order, keys)
-        self.__dict__.pop("facets_of_cells", None)
+            self._check_folds(rows, order, same)
         self._drop_unused_points()
 
     def _drop_unused_points(self) -> None:
@@ -122,14 +125,16 @@ class Grid:
         self.points, self.cells, self.facets = self.points[used], new[self.cells], new[self.facets]
         self.point_data = {name: values[used] for name, values in self.point_data.items()}
 
-    def _complete_facets(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _complete_facets(
+        self, rows: NDArray[np.int32]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Add the nodes that are no vertices; refuse facets of no cell: they would vanish.
 
         Returns:
-            The order that sorts the cells' facets, so that the same ones are neighbors, and a
-            number for each of them in that order, the same for the same ones.
+            The order that sorts the cells' facets, so that the same ones are neighbors, and
+            whether each in that order is the same as the next.
         """
-        rows, number = self.facets_of_cells, len(self.facets)
+        number = len(self.facets)
         keys = row_keys(np.concatenate([rows, self.facets]) if number else rows)
         keys, named = keys[: len(rows)], keys[len(rows) :]
         order = np.argsort(keys, kind="stable")
@@ -147,7 +152,7 @@ class Grid:
         closure = np.array(element.entity_closure_dofs[self.tdim - 1])
         cell, side = found % len(self.cells), found // len(self.cells)
         self.facets = self.cells[cell[:, None], closure[side]]
-        return order, keys
+        return order, keys[1:] == keys[:-1]
 
     def relative_jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Smallest and largest det J / (product of J's column lengths) in each cell.
@@ -188,13 +193,11 @@ class Grid:
                 "refine the mesh there, or take order 1."
             )
 
-    def _check_folds(self, order: NDArray[np.int64], keys: NDArray[np.int64]) -> None:
+    def _check_folds(
+        self, rows: NDArray[np.int32], order: NDArray[np.int64], same: NDArray[np.bool_]
+    ) -> None:
         """Refuse neighbors on the same side of their common facet, however they are numbered."""
-        corners = basix.topology(self._cell_type)[self.tdim - 1]
         x = self.points[:, : self.gdim]
-        middles = x[self.cells[:, : len(basix.topology(self._cell_type)[0])]].mean(axis=1)
-        cells = np.tile(np.arange(len(self.cells)), len(corners))
-        rows, same = self.facets_of_cells, keys[1:] == keys[:-1]
         if (same[1:] & same[:-1]).any():
             number = (same[1:] & same[:-1]).sum()
             raise ValueError(
@@ -202,20 +205,26 @@ class Grid:
                 "remove the surplus ones."
             )
         one, two = order[:-1][same], order[1:][same]
-        p = x[rows[one]]
-        normal = p[:, 1] - p[:, 0]
-        if self.gdim == 3:
-            normal = np.cross(normal, p[:, 2] - p[:, 0])
-        else:
-            normal = normal[:, ::-1] * [1, -1]
-        center = p.mean(axis=1)
-        sides = [np.sum(normal * (middles[cells[k]] - center), axis=1) for k in (one, two)]
-        folded = sides[0] * sides[1] > 0
+        cells = one % len(self.cells), two % len(self.cells)
+        vertices = self.cells[:, : len(basix.topology(self._cell_type)[0])]
+        folded = np.empty(len(one), dtype=bool)
+        for start in range(0, len(one), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            p = x[rows[one[chunk]]]
+            normal: NDArray[np.floating] = p[:, 1] - p[:, 0]
+            if self.gdim == 3:
+                normal = np.cross(normal, p[:, 2] - p[:, 0])
+            else:
+                normal = normal[:, ::-1] * [1, -1]
+            center = p.mean(axis=1)
+            middles = (x[vertices[k[chunk]]].mean(axis=1) for k in cells)
+            sides = [np.sum(normal * (middle - center), axis=1) for middle in middles]
+            folded[chunk] = sides[0] * sides[1] > 0
         if folded.any():
             count = np.zeros((2, len(self.cells)), dtype=int)
-            for k in one, two:
-                np.add.at(count[0], cells[k], 1)
-                np.add.at(count[1], cells[k[folded]], 1)
+            for k in cells:
+                np.add.at(count[0], k, 1)
+                np.add.at(count[1], k[folded], 1)
             bad = 2 * count[1] > count[0]
             first = np.flatnonzero(bad if bad.any() else count[1])[0]
             raise ValueError(

@@ -12,12 +12,12 @@ __all__ = ["Tag", "check_held", "encode", "merge_copies", "row_keys"]
 Tag = int | tuple[int, ...]
 
 
-def row_keys(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def row_keys(rows: NDArray[np.integer]) -> NDArray[np.int64]:
     """One number per row, the same for two rows if and only if they hold the same numbers.
 
     Rows of numbers >= 0 in any order, shape (n, k); much faster than np.unique(axis=0).
     """
-    rows = np.sort(rows, axis=1)
+    rows = np.sort(rows.astype(np.int32, copy=False), axis=1)
     if not len(rows):
         return np.empty(0, np.int64)
     size = int(rows.max()) + 1
