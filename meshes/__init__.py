@@ -4,6 +4,7 @@
 if __name__ == "meshes":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
+from .arrays import from_arrays
 from .blocks import block, cook
 from .body import Body
 from .fibers import ellipsoid_depth, ellipsoid_fiber_field, ellipsoid_fibers
@@ -26,5 +27,6 @@ __all__ = [
     "cylindrical_sheet",
     "pillow",
     "read",
+    "from_arrays",
     "Body",
 ]

@@ -1,30 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""gmsh: a session that leaves the user's own alone, and the way from a model to arrays."""
-
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib import import_module
-from itertools import count
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+"""gmsh: meshing, and the way from a model to arrays."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._dolfinx import from_gmsh_order
 from ._grid import Grid
+from ._parts import Part, assemble
+from ._session import gmsh
 
-__all__ = [
-    "extract",
-    "generate",
-    "gmsh",
-    "merge",
-    "name_entities",
-    "require_groups",
-    "session",
-    "set_size",
-]
+__all__ = ["extract", "generate", "name_entities", "require_groups", "set_size"]
 
 # gmsh's element types that DOLFINx knows: the cell's name and its order.
 CELLS = {
@@ -45,75 +30,6 @@ PRIMARY = {name: kind for kind, (name, order) in CELLS.items() if order == 1}
 # Cells with a smallest scaled Jacobian (gmsh's minSJ) up to this are straightened, by halves.
 TANGLED = 1e-3
 STRAIGHTENING = 8
-
-# Everything that decides what is meshed, so that neither the user's session nor a ~/.gmshrc does.
-OPTIONS = {
-    "General.Terminal": 0,
-    "General.NumThreads": 1,
-    "Mesh.Algorithm": 6,
-    "Mesh.Algorithm3D": 1,
-    "Mesh.ElementOrder": 1,
-    "Mesh.HighOrderOptimize": 0,
-    "Mesh.MeshSizeExtendFromBoundary": 1,
-    "Mesh.MeshSizeFactor": 1,
-    "Mesh.MeshSizeFromCurvature": 0,
-    "Mesh.MeshSizeFromPoints": 1,
-    "Mesh.MeshSizeMax": 1e22,
-    "Mesh.MeshSizeMin": 0,
-    "Mesh.RecombineAll": 0,
-    "Mesh.SecondOrderIncomplete": 0,
-    "Mesh.SecondOrderLinear": 0,
-}
-
-_numbers = count(1)
-
-
-class _Gmsh:
-    """The module gmsh, imported when it is first used: bodies from XDMF go without."""
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            module = import_module("gmsh")
-        except ImportError as error:
-            raise ImportError(
-                f"this body is meshed or read by gmsh, which cannot be imported ({error}): install "
-                "Debian's python3-gmsh or variform's extra 'meshes', or read an .xdmf."
-            ) from error
-        return getattr(module, name)
-
-
-gmsh = _Gmsh()
-
-
-@contextmanager
-def session() -> Iterator[None]:
-    """An empty current gmsh model, quiet, with settled options.
-
-    A session that is already running goes on afterwards with its models, its current model and its
-    options as they were; otherwise one is started and finalized.
-    """
-    started = not gmsh.isInitialized()
-    if started:
-        # No handler for Ctrl-C: it can be installed in the main thread only.
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
-    saved = {name: gmsh.option.getNumber(name) for name in OPTIONS}
-    current, models = gmsh.model.getCurrent(), set(gmsh.model.list())
-    try:
-        for name, value in OPTIONS.items():
-            gmsh.option.setNumber(name, value)
-        gmsh.model.add(next(n for i in _numbers if (n := f"variform{i}") not in models))
-        yield
-    finally:
-        if started:
-            gmsh.finalize()
-        else:
-            for name in set(gmsh.model.list()) - models:
-                gmsh.model.setCurrent(name)
-                gmsh.model.remove()
-            if current in models:
-                gmsh.model.setCurrent(current)
-            for name, value in saved.items():
-                gmsh.option.setNumber(name, value)
 
 
 def generate(dim: int, order: int) -> None:
@@ -158,29 +74,6 @@ def set_size(h: float) -> None:
     gmsh.model.mesh.setSize(gmsh.model.getEntities(0), h)
 
 
-def merge(path: str) -> None:
-    """Read a file into the current model.
-
-    Raises:
-        Exception: gmsh's own, when it cannot.
-    """
-    try:
-        gmsh.merge(path)
-    except Exception:
-        # gmsh's parser keeps the unread rest of a script with an error, and would take it for the
-        # start of the next one: let it swallow harmless ones until it has done with the rest.
-        with TemporaryDirectory() as folder:
-            harmless = Path(folder, "harmless.geo")
-            harmless.write_text("Mesh.MeshSizeFactor = 1;\n")
-            for _ in range(1000):
-                try:
-                    gmsh.merge(str(harmless))
-                    break
-                except Exception:
-                    continue
-        raise
-
-
 def name_entities(dim: int, names: dict[str, list[int]]) -> None:
     """Make a physical group, numbered from 1, of each name and its entities of dimension `dim`."""
     for tag, (name, entities) in enumerate(names.items(), start=1):
@@ -188,29 +81,46 @@ def name_entities(dim: int, names: dict[str, list[int]]) -> None:
 
 
 def require_groups(source: str, dim: int) -> None:
-    """Raise ValueError if no physical group holds cells of dimension `dim`."""
-    if not gmsh.model.getPhysicalGroups(dim):
-        entity = {2: "Surface", 3: "Volume"}[dim]
-        raise ValueError(
-            f"{source}: no physical group of dimension {dim} names the cells: add "
-            f'Physical {entity}("body") = {{1}}; to the .geo, or '
-            f"gmsh.model.addPhysicalGroup({dim}, [1], name='body') before writing the .msh."
-        )
+    """Name the only entity of dimension `dim` "body" if no physical group holds one.
+
+    Raises:
+        ValueError: There are several, so that which of them belong to the body is not plain.
+    """
+    if gmsh.model.getPhysicalGroups(dim):
+        return
+    # In a .msh also those count that hold no elements: but what has no cells is no part of it.
+    meshed = [tag for _, tag in gmsh.model.getEntities(dim) if _has_elements(dim, tag)]
+    entities = meshed or [tag for _, tag in gmsh.model.getEntities(dim)]
+    if len(entities) == 1:
+        gmsh.model.addPhysicalGroup(dim, entities, name="body")
+        return
+    kind = {2: "Surface", 3: "Volume"}[dim]
+    shown = ", ".join(map(str, entities[:20])) + (", …" if len(entities) > 20 else "")
+    raise ValueError(
+        f"{source}: no physical group of dimension {dim} names the cells, and there are "
+        f'{len(entities)} entities: add Physical {kind}("body") = {{{shown}}}; to the .geo, or '
+        f"gmsh.model.addPhysicalGroup({dim}, [{shown}], name='body') before writing the .msh."
+    )
+
+
+def _has_elements(dim: int, entity: int) -> bool:
+    return any(len(n) for n in gmsh.model.mesh.getElements(dim, entity)[1])
 
 
 def extract(source: str, gdim: int | None = None) -> Grid:
-    """Turn the current model's mesh and physical groups into arrays.
+    """Turn the current model's mesh, physical groups and views into arrays.
 
     Args:
         source: What messages call it.
         gdim: Dimension of space; None: 2 for a surface mesh with z = 0, else 3.
 
     Returns:
-        The grid: cells are the elements of highest dimension that are in physical groups.
+        The grid: cells are the elements of highest dimension that are in physical groups; the last
+        step of each view of elements or nodes is its data, NaN where there is none.
 
     Raises:
-        ValueError: No elements, no physical groups for them, several cell types, an entity in two
-            groups, or a gdim that does not hold the mesh.
+        ValueError: No elements, no physical groups for them, several cell types, or a gdim that
+            does not hold the mesh.
     """
     types = gmsh.model.mesh.getElementTypes()
     tdim = max((gmsh.model.mesh.getElementProperties(t)[1] for t in types), default=0)
@@ -221,78 +131,111 @@ def extract(source: str, gdim: int | None = None) -> Grid:
         )
     require_groups(source, tdim)
     nodes, coordinates, _ = gmsh.model.mesh.getNodes()
-    index = np.zeros(int(nodes.max()) + 1, dtype=np.int64)
+    index = np.full(int(nodes.max()) + 1, -1, dtype=np.int64)
     index[nodes.astype(np.int64)] = np.arange(len(nodes))
+    cells, labels = _tagged(source, tdim, index)
+    facets, _ = _tagged(source, tdim - 1, index)
+    point_data = {}
+    for name, kind, numbers, values in _views(source):
+        if kind == "ElementData":
+            # Labels are unique, but neither sorted nor dense.
+            order = np.argsort(labels, kind="stable")
+            place = np.minimum(np.searchsorted(labels, numbers, sorter=order), len(labels) - 1)
+            rows = order[place]
+            found = labels[rows] == numbers
+            if found.any():
+                cells[0].data[name] = _spread(len(labels), rows[found], values[found])
+        else:
+            known = (numbers >= 0) & (numbers < len(index))
+            known[known] = index[numbers[known]] >= 0
+            point_data[name] = _spread(len(nodes), index[numbers[known]], values[known])
     points = coordinates.reshape(-1, 3)
+    return assemble(source, points, [*cells, *facets], None, point_data, gdim, labels)
 
-    cell_type, cells, regions, labels, region_names = _tagged(source, tdim, 0, index)
-    cell, order = CELLS[cell_type]
-    facet_type = {"triangle": 1, "quadrilateral": 1, "tetrahedron": 2, "hexahedron": 3}[cell]
-    facet_type += {1: 0, 2: 7}[order]
-    _, facets, boundaries, _, boundary_names = _tagged(source, tdim - 1, facet_type, index)
-    used = points[np.unique(cells)]
-    flat = tdim == 2 and bool((used[:, 2] == 0).all())
-    if gdim is None:
-        gdim = 2 if flat else 3
-    elif gdim == 2 and not flat:
-        raise ValueError(f"{source}: gdim=2 needs a surface mesh with z = 0 at all nodes, pass 3.")
-    return Grid(
-        source,
-        cell,
-        order,
-        gdim,
-        points,
-        cells,
-        regions,
-        facets,
-        boundaries,
-        region_names,
-        boundary_names,
-        labels,
-    )
+
+def _spread(
+    number: int, rows: NDArray[np.int64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    whole = np.full((number, *values.shape[1:]), np.nan)
+    whole[rows] = values
+    return whole
+
+
+def _views(source: str) -> list[tuple[str, str, NDArray[np.int64], NDArray[np.float64]]]:
+    """Data on elements and nodes of the current model: name, kind, numbers, values."""
+    found: dict[str, tuple[str, str, NDArray[np.int64], NDArray[np.float64]]] = {}
+    for view in gmsh.view.getTags():
+        name = gmsh.view.option.getString(view, "Name")
+        last = max(0, int(gmsh.view.option.getNumber(view, "NbTimeStep")) - 1)
+        try:
+            kind, numbers, flat, _, width = gmsh.view.getHomogeneousModelData(view, last)
+        except Exception:  # gmsh raises bare Exceptions: a list of shapes, or another model's
+            continue
+        if kind not in ("ElementData", "NodeData") or not len(numbers):
+            continue
+        if name in found:
+            raise ValueError(f"{source}: two sets of data are named '{name}': rename one.")
+        shape = {1: (), 9: (3, 3)}.get(width, (width,))
+        values = np.asarray(flat).reshape(len(numbers), *shape)
+        found[name] = name, kind, np.asarray(numbers, np.int64), values
+    return list(found.values())
 
 
 def _tagged(
-    source: str, dim: int, wanted: int, index: NDArray[np.int64]
-) -> tuple[int, NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], dict[str, int]]:
-    """Elements of the physical groups of one dimension: type, nodes, tags, numbers, names."""
-    names: dict[str, int] = {}
-    owner: dict[int, str] = {}
-    found: dict[int, list[tuple[NDArray[np.int64], NDArray[np.int64], int]]] = {}
+    source: str, dim: int, index: NDArray[np.int64]
+) -> tuple[list[Part], NDArray[np.int64]]:
+    """Elements of the physical groups of one dimension, each once; and their numbers."""
+    found: dict[int, list[tuple[NDArray[np.int64], NDArray[np.int64]]]] = {}
+    spans: dict[int, list[tuple[int, int, int]]] = {}
+    sets: dict[str, list[tuple[int, int, int]]] = {}
+    tags: dict[str, int] = {}
+    sizes: dict[int, int] = {}
     for _, tag in gmsh.model.getPhysicalGroups(dim):
         name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
-        if name in names:
+        if name in sets:
             raise ValueError(
                 f"{source}: two physical groups of dimension {dim} are named '{name}': rename one."
             )
-        names[name] = tag
+        sets[name], tags[name] = [], tag
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
-            if entity in owner:
-                raise ValueError(
-                    f"{source}: entity {entity} of dimension {dim} is in both '{owner[entity]}' "
-                    f"and '{name}': put it in one physical group only."
-                )
-            owner[entity] = name
-            for kind, numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
-                rows = index[nodes.astype(np.int64)].reshape(len(numbers), -1)
-                found.setdefault(int(kind), []).append((rows, numbers.astype(np.int64), tag))
-    allowed = {wanted} if wanted else {t for t in found if t in CELLS}
-    if len(found) > 1 or not set(found) <= allowed:
+            if entity not in spans:
+                spans[entity] = []
+                elements = zip(*gmsh.model.mesh.getElements(dim, entity), strict=True)
+                for kind, numbers, nodes in elements:
+                    kind, start = int(kind), sizes.get(int(kind), 0)
+                    rows = index[nodes.astype(np.int64)].reshape(len(numbers), -1)
+                    # With each view that it appends to a file gmsh writes the mesh once more.
+                    _, first = np.unique(numbers, return_index=True)
+                    if len(first) < len(numbers):
+                        rows, numbers = rows[np.sort(first)], numbers[np.sort(first)]
+                    found.setdefault(kind, []).append((rows, numbers.astype(np.int64)))
+                    sizes[kind] = start + len(numbers)
+                    spans[entity].append((kind, start, sizes[kind]))
+            sets[name] += spans[entity]
+    if len({CELLS.get(kind, (kind,))[0] for kind in found}) > 1 or not set(found) <= set(CELLS):
         kinds = " and ".join(
-            f"{sum(len(r) for r, _, _ in found[t])} of type "
-            f"'{gmsh.model.mesh.getElementProperties(t)[0]}'"
-            for t in sorted(found)
+            f"{sizes[kind]} of type '{gmsh.model.mesh.getElementProperties(kind)[0]}'"
+            for kind in sorted(found)
         )
         raise ValueError(
             f"{source}: the physical groups of dimension {dim} hold {kinds}: a body needs one "
             "type, of triangles, quadrilaterals, tetrahedra or hexahedra of order 1 or 2."
         )
-    kind = wanted or next(iter(found))
-    num_nodes = gmsh.model.mesh.getElementProperties(kind)[3]
-    parts = found.get(kind, [])
-    rows = np.concatenate([r for r, _, _ in parts] or [np.empty((0, num_nodes), np.int64)])
-    numbers = np.concatenate([n for _, n, _ in parts] or [np.empty(0, np.int64)])
-    tags = np.concatenate(
-        [np.full(len(r), tag, np.int32) for r, _, tag in parts] or [np.empty(0, np.int32)]
-    )
-    return kind, rows[:, from_gmsh_order(CELLS[kind][0], num_nodes)], tags, numbers, names
+    parts: list[Part] = []
+    labels: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
+    for kind, pieces in found.items():
+        rows = np.concatenate([r for r, _ in pieces])
+        labels += [n for _, n in pieces]
+        rows = rows[:, from_gmsh_order(CELLS[kind][0], rows.shape[1])]
+        part_sets = {}
+        for name, those in sets.items():
+            members = [np.arange(a, b) for k, a, b in those if k == kind]
+            part_sets[name] = np.concatenate([np.empty(0, np.int64), *members])
+        parts.append(Part(f"dimension {dim}", CELLS[kind][0], rows, part_sets, tags))
+    if not parts and sets:
+        name = next(iter(sets))
+        raise ValueError(
+            f"{source}: the {'boundary' if dim < 3 else 'region'} '{name}' holds no elements of "
+            f"the mesh: mesh its entities, or remove the name."
+        )
+    return parts, np.concatenate(labels)

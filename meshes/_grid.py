@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._dolfinx import coordinate_element
+from ._groups import Tag, check_held, row_keys
 
 __all__ = ["Grid"]
 
 # Relative size below which a Jacobian determinant counts as zero: det J against the product of the
 # lengths of J's columns, a number between 0 and 1 that does not depend on units.
 DEGENERATE = 1e-10
+
+# Facets that are looked at together: what they take does not grow with the mesh.
+CHUNK = 2**15
 
 
 @dataclass
@@ -26,13 +30,15 @@ class Grid:
         order: Polynomial order of the geometry.
         gdim: Dimension of the space the body lies in, 2 or 3.
         points: Coordinates, shape (N, 3).
-        cells: Nodes of each cell, shape (number of cells, nodes per cell).
+        cells: Nodes of each cell, shape (number of cells, nodes per cell); no cell comes twice.
         regions: Tag of each cell.
-        facets: Nodes of each tagged facet.
+        facets: Nodes of each tagged facet, of which the vertices come first; each facet once.
         boundaries: Tag of each of these facets.
-        region_names: Tag of each region's name.
-        boundary_names: Tag of each boundary's name.
+        region_names: Tag, or tags, of each region's name.
+        boundary_names: Tag, or tags, of each boundary's name.
         labels: Number that the source gives to each cell; empty: count from 0.
+        cell_data: Values of the cells by name, shape (number of cells, …).
+        point_data: Values of the points by name, shape (N, …).
     """
 
     source: str
@@ -44,9 +50,11 @@ class Grid:
     regions: NDArray[np.int32]
     facets: NDArray[np.int64]
     boundaries: NDArray[np.int32]
-    region_names: dict[str, int]
-    boundary_names: dict[str, int]
+    region_names: dict[str, Tag]
+    boundary_names: dict[str, Tag]
     labels: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    cell_data: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    point_data: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, cell: str, order: int, gdim: int, cell_nodes: int, facet_nodes: int) -> "Grid":
@@ -54,6 +62,16 @@ class Grid:
         tags = np.empty(0, np.int32)
         cells, facets = (np.empty((0, n), np.int64) for n in (cell_nodes, facet_nodes))
         return cls("", cell, order, gdim, np.empty((0, 3)), cells, tags, facets, tags, {}, {})
+
+    @property
+    def facet_cell(self) -> str:
+        """DOLFINx's name of the facets' type."""
+        return basix.cell.subentity_types(self._cell_type)[self.tdim - 1][0].name
+
+    @property
+    def facet_corners(self) -> int:
+        """Number of a facet's vertices."""
+        return len(basix.topology(self._cell_type)[self.tdim - 1][0])
 
     @property
     def tdim(self) -> int:
@@ -64,70 +82,77 @@ class Grid:
     def _cell_type(self) -> basix.CellType:
         return basix.CellType[self.cell]
 
+    def _facets_of_cells(self) -> NDArray[np.int32]:
+        """Vertices of each cell's facets, ascending: all cells' first, then all second, ….
+
+        Shape (facets of a cell x number of cells, vertices of a facet).
+        """
+        corners = basix.topology(self._cell_type)[self.tdim - 1]
+        # 32 bits: there are four of them for each cell, and rank 0 holds all.
+        cells = self.cells.astype(np.int32)
+        rows = np.concatenate([cells[:, c] for c in corners])
+        rows.sort(axis=1)
+        return rows
+
+    def exterior_facets(self) -> NDArray[np.int64]:
+        """Vertices of the facets that belong to one cell only."""
+        rows = self._facets_of_cells()
+        _, first, counts = np.unique(row_keys(rows), return_index=True, return_counts=True)
+        return rows[first[counts == 1]].astype(np.int64)
+
     def check(self) -> None:
         """Refuse a mesh on which an energy would be wrong without a word, and drop unused points.
 
         Raises:
-            ValueError: A cell twice, a facet with two names, a named facet that no cell has, a
-                facet of three cells, a cell that is degenerate, turned inside out or folded over
-                its neighbor.
+            ValueError: A name without members, a named facet that no cell has, a facet of three
+                cells, a cell that is degenerate, turned inside out or folded over its neighbor.
         """
-        self._check_facets()
-        self._drop_unused_points()
-        self._check_repetition()
+        check_held(self.source, "region", self.regions, self.region_names)
+        check_held(self.source, "boundary", self.boundaries, self.boundary_names)
+        rows = self._facets_of_cells()
+        order, same = self._complete_facets(rows)
         self._check_shape()
         if self.gdim == self.tdim:
-            self._check_folds()
+            self._check_folds(rows, order, same)
+        self._drop_unused_points()
 
     def _drop_unused_points(self) -> None:
-        used, numbers = np.unique(self.cells, return_inverse=True)
-        if len(used) == len(self.points):
+        used = np.zeros(len(self.points), dtype=bool)
+        used[self.cells] = True
+        if used.all():
             return
-        new = np.full(len(self.points), -1, dtype=np.int64)
-        new[used] = np.arange(len(used))
-        self.points, self.cells = self.points[used], numbers.reshape(self.cells.shape)
-        self.facets = new[self.facets]
+        new = np.cumsum(used) - 1
+        self.points, self.cells, self.facets = self.points[used], new[self.cells], new[self.facets]
+        self.point_data = {name: values[used] for name, values in self.point_data.items()}
 
-    def _check_repetition(self) -> None:
-        vertices = np.sort(self.cells[:, : len(basix.topology(self._cell_type)[0])], axis=1)
-        twice = len(vertices) - len(np.unique(vertices, axis=0))
-        if twice:
-            raise ValueError(
-                f"{self.source}: {twice} of {len(vertices)} cells come twice: give each cell one "
-                "region, so put each volume (surface) in one physical group."
-            )
-        rows, tags = np.sort(self.facets, axis=1), self.boundaries
-        order = np.lexsort((*rows.T, tags)) if len(rows) else np.empty(0, np.int64)
-        order = order[np.lexsort(rows[order].T)] if len(rows) else order
-        same = (rows[order][1:] == rows[order][:-1]).all(axis=1)
-        clash = same & (tags[order][1:] != tags[order][:-1])
-        if clash.any():
-            first = np.flatnonzero(clash)[0]
-            names = {tag: name for name, tag in self.boundary_names.items()}
-            one, other = (names[tags[order][first + i]] for i in (0, 1))
-            raise ValueError(
-                f"{self.source}: {clash.sum()} facets belong to both '{one}' and '{other}': give "
-                f"each facet one name, and ask for unions with facets('{one}', '{other}')."
-            )
-        keep = np.ones(len(rows), dtype=bool)
-        keep[order[1:][same]] = False
-        self.facets, self.boundaries = self.facets[keep], self.boundaries[keep]
+    def _complete_facets(
+        self, rows: NDArray[np.int32]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Add the nodes that are no vertices; refuse facets of no cell: they would vanish.
 
-    def _check_facets(self) -> None:
-        """Refuse named facets that are no facet of any cell: they would vanish without a word."""
-        corners = basix.topology(self._cell_type)[self.tdim - 1]
-        of_cells = np.concatenate([np.sort(self.cells[:, c], axis=1) for c in corners])
-        named = np.sort(self.facets[:, : len(corners[0])], axis=1)
-        _, numbers = np.unique(np.concatenate([of_cells, named]), axis=0, return_inverse=True)
-        numbers = numbers.ravel()
-        loose = ~np.isin(numbers[len(of_cells) :], numbers[: len(of_cells)])
+        Returns:
+            The order that sorts the cells' facets, so that the same ones are neighbors, and
+            whether each in that order is the same as the next.
+        """
+        number = len(self.facets)
+        keys = row_keys(np.concatenate([rows, self.facets]) if number else rows)
+        keys, named = keys[: len(rows)], keys[len(rows) :]
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        place = np.minimum(np.searchsorted(keys, named), len(keys) - 1)
+        found, loose = order[place], keys[place] != named
         for name, tag in self.boundary_names.items():
-            mine = self.boundaries == tag
+            mine = np.isin(self.boundaries, tag)
             if (loose & mine).any():
                 raise ValueError(
                     f"{self.source}: {(loose & mine).sum()} of {mine.sum()} facets of '{name}' are "
                     "no facets of its cells: put these into another group, or add their cells."
                 )
+        element = coordinate_element(self.cell, self.order, self.gdim).basix_element
+        closure = np.array(element.entity_closure_dofs[self.tdim - 1])
+        cell, side = found % len(self.cells), found // len(self.cells)
+        self.facets = self.cells[cell[:, None], closure[side]]
+        return order, keys[1:] == keys[:-1]
 
     def relative_jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Smallest and largest det J / (product of J's column lengths) in each cell.
@@ -168,16 +193,11 @@ class Grid:
                 "refine the mesh there, or take order 1."
             )
 
-    def _check_folds(self) -> None:
+    def _check_folds(
+        self, rows: NDArray[np.int32], order: NDArray[np.int64], same: NDArray[np.bool_]
+    ) -> None:
         """Refuse neighbors on the same side of their common facet, however they are numbered."""
-        corners = basix.topology(self._cell_type)[self.tdim - 1]
         x = self.points[:, : self.gdim]
-        middles = x[self.cells[:, : len(basix.topology(self._cell_type)[0])]].mean(axis=1)
-        nodes = np.concatenate([self.cells[:, c] for c in corners])
-        cells = np.tile(np.arange(len(self.cells)), len(corners))
-        keys = np.sort(nodes, axis=1)
-        order = np.lexsort(keys.T)
-        same = (keys[order][1:] == keys[order][:-1]).all(axis=1)
         if (same[1:] & same[:-1]).any():
             number = (same[1:] & same[:-1]).sum()
             raise ValueError(
@@ -185,20 +205,26 @@ class Grid:
                 "remove the surplus ones."
             )
         one, two = order[:-1][same], order[1:][same]
-        p = x[keys[one]]
-        normal = p[:, 1] - p[:, 0]
-        if self.gdim == 3:
-            normal = np.cross(normal, p[:, 2] - p[:, 0])
-        else:
-            normal = normal[:, ::-1] * [1, -1]
-        center = p.mean(axis=1)
-        sides = [np.sum(normal * (middles[cells[k]] - center), axis=1) for k in (one, two)]
-        folded = sides[0] * sides[1] > 0
+        cells = one % len(self.cells), two % len(self.cells)
+        vertices = self.cells[:, : len(basix.topology(self._cell_type)[0])]
+        folded = np.empty(len(one), dtype=bool)
+        for start in range(0, len(one), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            p = x[rows[one[chunk]]]
+            normal: NDArray[np.floating] = p[:, 1] - p[:, 0]
+            if self.gdim == 3:
+                normal = np.cross(normal, p[:, 2] - p[:, 0])
+            else:
+                normal = normal[:, ::-1] * [1, -1]
+            center = p.mean(axis=1)
+            middles = (x[vertices[k[chunk]]].mean(axis=1) for k in cells)
+            sides = [np.sum(normal * (middle - center), axis=1) for middle in middles]
+            folded[chunk] = sides[0] * sides[1] > 0
         if folded.any():
             count = np.zeros((2, len(self.cells)), dtype=int)
-            for k in one, two:
-                np.add.at(count[0], cells[k], 1)
-                np.add.at(count[1], cells[k[folded]], 1)
+            for k in cells:
+                np.add.at(count[0], k, 1)
+                np.add.at(count[1], k[folded], 1)
             bad = 2 * count[1] > count[0]
             first = np.flatnonzero(bad if bad.any() else count[1])[0]
             raise ValueError(

@@ -1,26 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""XDMF files, as DOLFINx and meshio write them, to arrays."""
+"""XDMF files, as DOLFINx, meshio and others write them, to arrays."""
 
-from dataclasses import dataclass
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from mpi4py import MPI
-
-import basix
 import numpy as np
-from dolfinx.io import XDMFFile
 from numpy.typing import NDArray
 
-from ._dolfinx import (
-    coordinate_element,
-    coordinate_map,
-    create_mesh,
-    from_vtk_order,
-    geometry_dofmap,
-)
+from ._dolfinx import from_vtk_order
 from ._grid import Grid
+from ._groups import row_keys
+from ._hdf import has_h5py, read_by_dolfinx, read_dataset
+from ._parts import Part, assemble, sets_of_tags, shaped, split_tags
 
 __all__ = ["read_xdmf"]
 
@@ -44,203 +37,218 @@ NUMBERS |= {34: "edge_3", 35: "quadrilateral_9", 36: "triangle_6"}
 NUMBERS |= {38: "tetrahedron_10", 50: "hexahedron_27"}
 
 
-@dataclass
-class Entities:
-    """Cells or facets of one type in a file: nodes in DOLFINx's order, and tags if it has them."""
-
-    grid: str
-    cell: str
-    nodes: NDArray[np.int64]
-    tags: NDArray[np.int32] | None
-
-    @property
-    def dim(self) -> int:
-        """Dimension of each entity."""
-        return len(basix.topology(basix.CellType[self.cell])) - 1
+# Kinds of numbers: NumPy's letter, and the bytes of each where the file does not say.
+KINDS = {"int": "i", "uint": "u", "float": "f", "char": "i1", "uchar": "u1"}
 
 
 def read_xdmf(file: Path, gdim: int | None) -> Grid:
-    """Read the mesh and the tags of its cells and facets on this process alone.
+    """Read the mesh, the tags of its cells and facets, and its data on this process alone.
+
+    Of a series in time the last step's data are taken.
 
     Raises:
         ValueError: A file that is no XDMF, is truncated, or holds no mesh that DOLFINx can read.
+        ImportError: Numbers in HDF5 that h5py would have to read, and there is none.
     """
     try:
-        grids = ElementTree.parse(file).getroot().findall("./Domain/Grid")
-    except ElementTree.ParseError as error:
+        domain = ElementTree.parse(file).getroot().find("./Domain")
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ValueError(
             f"{file.name}: it is no whole XML ({error}): it may be truncated, write it again."
         ) from None
-    grids = [grid for grid in grids if grid.find("Topology") is not None]
-    geometry = next((g for grid in grids if (g := grid.find("Geometry")) is not None), None)
-    if geometry is None:
+    all_grids = [] if domain is None else domain.findall("./Grid")
+    grids = [grid for grid in all_grids if grid.find("Topology") is not None]
+    meshes = [grid for grid in grids if grid.find("Geometry") is not None]
+    if not meshes:
         raise ValueError(f"{file.name}: no grid with Topology and Geometry: it holds no mesh.")
+    if len(meshes) > 1 and len({_place(grid.find("Geometry")) for grid in meshes}) > 1:
+        names = ", ".join(grid.get("Name", "?") for grid in meshes)
+        raise ValueError(f"{file.name}: it holds {len(meshes)} meshes ({names}): write one a file.")
+    series = [steps[-1] for grid in all_grids if (steps := grid.findall("./Grid"))]
     try:
-        if any(item.get("Format") == "HDF" for grid in grids for item in grid.iter("DataItem")):
-            points, entities = _read_hdf(file, grids)
-        else:
-            points = _numbers(file, geometry).astype(np.float64)
-            entities = [e for grid in grids for e in _entities(file, grid)]
-    except (RuntimeError, OSError, KeyError, IndexError, ValueError) as error:
+        _check_hdf(file, [*grids, *series])
+        if not has_h5py() and _items([*grids, *series], "HDF"):
+            return assemble(file.name, *read_by_dolfinx(file, grids, series), gdim=gdim)
+        points = _numbers(file, meshes[0].find("Geometry")).astype(np.float64)
+        parts: list[Part] = []
+        for grid in grids:
+            _add(parts, _parts(file, grid))
+        point_data: dict[str, NDArray[Any]] = {}
+        for grid in (*grids, *series):
+            nodal = _attributes(file, grid, "node", len(points))
+            point_data |= {name: shaped(values) for name, values in nodal.items()}
+        for grid in series:
+            sizes = {len(part.nodes): part for part in parts if part.dim == parts[0].dim}
+            for name, values in _attributes(file, grid, "cell").items():
+                if len(values) in sizes:
+                    sizes[len(values)].data[name] = shaped(values)
+    except (RuntimeError, OSError, KeyError, IndexError, ValueError, TypeError) as error:
+        if str(error).startswith(file.name):
+            raise
         raise ValueError(f"{file.name}: {error}: it may be truncated, write it again.") from error
-    return _grid(file.name, points, entities, gdim)
+    return assemble(file.name, points, parts, None, point_data, gdim)
 
 
-def _grid(
-    source: str, points: NDArray[np.float64], entities: list[Entities], gdim: int | None
-) -> Grid:
-    tdim = max((e.dim for e in entities), default=0)
-    cells, kinds = [e for e in entities if e.dim == tdim], sorted({e.cell for e in entities})
-    if tdim < 2 or len({(e.cell, e.nodes.shape[1]) for e in cells}) != 1:
-        raise ValueError(
-            f"{source}: it holds {' and '.join(kinds)} cells: a body needs one type, of triangles, "
-            "quadrilaterals, tetrahedra or hexahedra."
-        )
-    # DOLFINx writes tagged cells a second time, in a grid of their own.
-    mesh = cells[0]
-    tagged = [e for e in cells if e.tags is not None]
-    facets = [e for e in entities if e.dim == tdim - 1 and e.tags is not None]
-    for found in tagged, facets:
-        if len({e.grid for e in found}) > 1:
+def _place(element: ElementTree.Element | None) -> str:
+    item = None if element is None else element.find("DataItem")
+    return "" if item is None else (item.text or "").strip()
+
+
+def _items(grids: list[ElementTree.Element], form: str) -> list[ElementTree.Element]:
+    return [i for grid in grids for i in grid.iter("DataItem") if i.get("Format") == form]
+
+
+def _check_hdf(file: Path, grids: list[ElementTree.Element]) -> None:
+    """Refuse a file whose numbers have gone: HDF5 tells it in many lines."""
+    for item in _items(grids, "HDF"):
+        data = (item.text or "").strip().split(":")[0]
+        if not (file.parent / data).is_file():
+            raise ValueError(f"its numbers are in '{data}', which is not beside it")
+
+
+def _add(parts: list[Part], more: list[Part]) -> None:
+    """Add the parts of a grid; cells that come again in a grid of their own give tags and data."""
+    first = parts[0] if parts else None
+    for part in more:
+        before = [p for p in parts if p.dim == part.dim and p.sets]
+        if part.sets and before:
             raise ValueError(
-                f"{source}: {len(found)} sets of tags of dimension {found[0].dim} "
-                f"({', '.join(e.grid for e in found)}): write one, so that each has one name."
+                f"{len(before) + 1} sets of tags of dimension {part.dim} "
+                f"({', '.join(p.name for p in (*before, part))}), of which each cell needs one"
             )
-    regions: NDArray[np.int32] = np.full(len(mesh.nodes), -1, dtype=np.int32)
-    if tagged and tagged[0].tags is not None:
-        nodes, marks = np.sort(mesh.nodes, axis=1), np.sort(tagged[0].nodes, axis=1)
-        _, where = np.unique(np.vstack([nodes, marks]), axis=0, return_inverse=True)
-        tag_of = np.full(where.max() + 1, -1, dtype=np.int32)
-        tag_of[where.ravel()[len(nodes) :]] = tagged[0].tags
-        regions = tag_of[where.ravel()[: len(nodes)]]
-    region_names = {str(tag): int(tag) for tag in np.unique(regions[regions != -1])}
-    if (regions == -1).any():
-        region_names["body"] = max(region_names.values(), default=0) + 1
-        regions[regions == -1] = region_names["body"]
-    order = {3: 1, 6: 2, 4: 1, 9: 2, 10: 2, 8: 1, 27: 2}[mesh.nodes.shape[1]]
-    facet = basix.cell.subentity_types(basix.CellType[mesh.cell])[tdim - 1][0]
-    num_nodes = coordinate_element(facet.name, order, tdim).basix_element.dim
-    on: NDArray[np.int64] = np.empty((0, num_nodes), np.int64)
-    tags: NDArray[np.int32] = np.empty(0, np.int32)
-    if facets and facets[0].tags is not None:
-        on, tags = facets[0].nodes, facets[0].tags
-    if points.shape[1] == 3 and tdim == 2 and not points[:, 2].any() and gdim is None:
-        gdim = 2
-    if gdim == 2 and (tdim == 3 or points[:, 2:].any()):
-        raise ValueError(f"{source}: gdim=2 needs a surface mesh with z = 0 at all nodes, pass 3.")
-    x = np.zeros((len(points), 3))
-    x[:, : points.shape[1]] = points
-    names = {str(tag): int(tag) for tag in np.unique(tags)}
-    return Grid(
-        source,
-        mesh.cell,
-        order,
-        gdim or points.shape[1],
-        x,
-        mesh.nodes,
-        regions,
-        on,
-        tags,
-        region_names,
-        names,
-    )
+        # Only the first grid may hold cells of one type in several runs.
+        if first is not None and part.cell == first.cell:
+            _transfer(part, first)
+        else:
+            parts.append(part)
 
 
-def _entities(file: Path, grid: ElementTree.Element) -> list[Entities]:
-    """Entities of one grid whose numbers are in the file itself, or in raw binary beside it."""
+def _transfer(part: Part, mesh: Part) -> None:
+    """Give the tags and data of cells written a second time to the mesh's own."""
+    rows = np.concatenate([mesh.nodes, part.nodes])
+    keys = row_keys(rows)
+    order = np.argsort(keys[: len(mesh.nodes)], kind="stable")
+    place = np.searchsorted(keys[: len(mesh.nodes)], keys[len(mesh.nodes) :], sorter=order)
+    found = order[np.minimum(place, len(order) - 1)]
+    if (keys[found] != keys[len(mesh.nodes) :]).any():
+        raise ValueError(f"the grid '{part.name}' has cells that are none of '{mesh.name}'")
+    mesh.sets |= {name: found[members] for name, members in part.sets.items()}
+    mesh.tags |= part.tags
+    for name, values in part.data.items():
+        whole = np.full((len(mesh.nodes), *values.shape[1:]), np.nan)
+        whole[found] = values
+        mesh.data[name] = whole
+
+
+def _parts(file: Path, grid: ElementTree.Element) -> list[Part]:
+    """Cells and facets of one grid, with tags and data."""
     topology = grid.find("Topology")
-    if topology is None:
-        return []
+    assert topology is not None
     name = grid.get("Name", "")
     kind = topology.get("TopologyType", topology.get("Type", "")).lower()
     kind = SHORT.get(kind, kind)
     numbers = _numbers(file, topology).astype(np.int64)
-    rows: dict[str, list[NDArray[np.int64]]] = {}
-    places: dict[str, list[int]] = {}
+    rows: dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]]
     if kind == "mixed":
-        flat, at, count = numbers.ravel(), 0, 0
-        while at < len(flat):
-            kind = NUMBERS[int(flat[at])]
-            at += 2 if kind == "polyline" else 1
-            length = TYPES[kind][1]
-            rows.setdefault(kind, []).append(flat[at : at + length])
-            places.setdefault(kind, []).append(count)
-            at, count = at + length, count + 1
+        rows = _unmix(numbers.ravel())
     elif kind in TYPES:
-        rows[kind] = list(numbers.reshape(-1, TYPES[kind][1]))
-        places[kind] = list(range(len(rows[kind])))
+        nodes: NDArray[Any] = numbers.reshape(-1, TYPES[kind][1])
+        rows = {kind: (nodes, np.arange(len(nodes)))}
     else:
         raise ValueError(f"its topology type '{kind}' is not one of {', '.join(TYPES)}")
-    attributes = [a for a in grid.findall("Attribute") if a.get("Center") == "Cell"]
-    # meshio keeps gmsh's physical groups under this name, beside others.
-    attributes.sort(key=lambda a: a.get("Name") != "gmsh:physical")
-    values = _numbers(file, attributes[0]).ravel() if attributes else None
-    if values is not None and (values != np.round(values)).any():
-        values = None  # a field, not tags
+    total = sum(len(nodes) for nodes, _ in rows.values())
+    arrays = _attributes(file, grid, "cell", total)
+    chosen, data = split_tags(arrays, only=grid.find("Geometry") is None)
     found = []
-    for kind, nodes in rows.items():
+    for kind, (nodes, places) in rows.items():
         cell, length = TYPES[kind]
-        array = np.array(nodes)[:, from_vtk_order(cell, length)]
-        tags = None if values is None else values[places[kind]].astype(np.int32)
-        found.append(Entities(name, cell, array, tags))
+        part = Part(name, cell, nodes[:, from_vtk_order(cell, length)])
+        if chosen is not None:
+            part.sets, part.tags = sets_of_tags(arrays[chosen][places])
+        part.data = {key: shaped(values[places]) for key, values in data.items()}
+        found.append(part)
     return found
 
 
-def _numbers(file: Path, parent: ElementTree.Element) -> NDArray[Any]:
+def _unmix(flat: NDArray[np.int64]) -> dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Nodes of each type in a topology of type Mixed, and which of all its cells these are."""
+    rows: dict[str, list[NDArray[np.int64]]] = {}
+    places: dict[str, list[NDArray[np.int64]]] = {}
+    at = count = 0
+    while at < len(flat):
+        code = int(flat[at])
+        if code not in NUMBERS:
+            raise ValueError(f"its mixed topology has a cell of type {code}, which is not read")
+        kind = NUMBERS[code]
+        skip = 2 if kind == "polyline" else 1
+        stride = skip + TYPES[kind][1]
+        # Cells of one type usually follow each other: all of them at once.
+        run = flat[at::stride] != code
+        number = int(np.argmax(run)) if run.any() else len(run)
+        block = flat[at : at + number * stride]
+        if len(block) < number * stride:
+            raise ValueError(f"its mixed topology ends within a {kind}")
+        rows.setdefault(kind, []).append(block.reshape(number, stride)[:, skip:])
+        places.setdefault(kind, []).append(np.arange(count, count + number))
+        at, count = at + number * stride, count + number
+    return {kind: (np.concatenate(rows[kind]), np.concatenate(places[kind])) for kind in rows}
+
+
+def _attributes(
+    file: Path, grid: ElementTree.Element, center: str, number: int | None = None
+) -> dict[str, NDArray[Any]]:
+    """Values of the attributes of one grid at cells or nodes, shape (number, …)."""
+    found: dict[str, NDArray[Any]] = {}
+    for attribute in grid.findall("Attribute"):
+        if attribute.get("Center", "Node").lower() != center:
+            continue
+        name = attribute.get("Name", "")
+        values = _numbers(file, attribute)
+        if number is not None and (not values.ndim or len(values) != number):
+            values = values.reshape(number, -1) if number and values.size % number == 0 else values
+            if len(values) != number:
+                raise ValueError(
+                    f"its attribute '{name}' has {values.size} numbers for {number} {center}s"
+                )
+        if name in found:
+            raise ValueError(f"two of its attributes are named '{name}'")
+        found[name] = values
+    return found
+
+
+def _numbers(file: Path, parent: ElementTree.Element | None) -> NDArray[Any]:
     """Numbers of the DataItem in an element, in the shape that it states."""
-    item = parent.find("DataItem")
-    if item is None or item.text is None:
-        raise ValueError(f"no numbers in a {parent.tag}")
-    shape = [int(n) for n in item.get("Dimensions", "").split()]
-    whole = item.get("DataType", item.get("NumberType", "Float")) in ("Int", "UInt")
-    size = item.get("Precision", "4")
-    if item.get("Format") == "Binary":
-        dtype = np.dtype(f"{'i' if whole else 'f'}{size}")
-        data: NDArray[Any] = np.fromfile(file.parent / item.text.strip(), dtype)
+    item = None if parent is None else parent.find("DataItem")
+    tag = "grid" if parent is None else parent.tag
+    text = None if item is None else (item.text or "").strip()
+    if item is None or not text or item.find("DataItem") is not None:
+        raise ValueError(f"no plain numbers in a {tag}")
+    try:
+        shape = [int(n) for n in item.get("Dimensions", "").split()]
+    except ValueError:
+        raise ValueError(f"the dimensions {item.get('Dimensions')!r} of a {tag}") from None
+    word = item.get("DataType", item.get("NumberType", "Float")).lower()
+    if word not in KINDS:
+        raise ValueError(f"the type of number '{word}' of a {tag} is not one of {', '.join(KINDS)}")
+    kind, form = KINDS[word], item.get("Format", "XML").lower()
+    data: NDArray[Any]
+    if form == "hdf":
+        data = read_dataset(file, text)
+    elif form == "binary":
+        size = "" if len(kind) > 1 else item.get("Precision", "4")
+        end = ">" if item.get("Endian", "").lower() == "big" else "<"
+        offset = int(item.get("Seek", "0"))
+        data = np.fromfile(file.parent / text, np.dtype(f"{end}{kind}{size}"), offset=offset)
+    elif form == "xml":
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # what is no number
+            try:
+                dtype = np.float64 if kind == "f" else np.int64
+                data = np.fromstring(text, dtype=dtype, sep=" ")
+            except DeprecationWarning:
+                raise ValueError(f"a {tag} holds other things than numbers") from None
     else:
-        data = np.array(item.text.split(), dtype=np.int64 if whole else np.float64)
-    return data.reshape(shape)
-
-
-def _read_hdf(
-    file: Path, grids: list[ElementTree.Element]
-) -> tuple[NDArray[np.float64], list[Entities]]:
-    """The same from a file whose numbers are in HDF5, by DOLFINx."""
-    for item in (item for grid in grids for item in grid.iter("DataItem")):
-        data = (item.text or "").strip().split(":")[0]
-        if not (file.parent / data).is_file():
-            raise ValueError(f"its numbers are in '{data}', which is not beside it")
-    name = next(g.get("Name", "") for g in grids if g.find("Geometry") is not None)
-    entities = []
-    with XDMFFile(MPI.COMM_SELF, str(file), "r") as xdmf:
-        points = xdmf.read_geometry_data(name)
-        shape, order = xdmf.read_cell_type(name)
-        cells = xdmf.read_topology_data(name)
-        entities.append(Entities(name, shape.name, np.asarray(cells, np.int64), None))
-        element = coordinate_element(shape.name, order, points.shape[1])
-        mesh = create_mesh(MPI.COMM_SELF, element, points, cells)
-        tdim, geometry = mesh.topology.dim, mesh.geometry
-        for dim in tdim - 1, tdim:
-            mesh.topology.create_connectivity(dim, 0)
-            mesh.topology.create_connectivity(dim, tdim)
-            mesh.topology.create_connectivity(tdim, dim)
-        for grid in grids:
-            attribute, tag_name = grid.find("Attribute"), grid.get("Name", "")
-            if attribute is None or attribute.get("Center") != "Cell":
-                continue
-            tags = xdmf.read_meshtags(mesh, tag_name)
-            kind = mesh.basix_cell() if tags.dim == tdim else None
-            kind = kind or basix.cell.subentity_types(mesh.basix_cell())[tags.dim][0]
-            layout = coordinate_map(geometry).create_dof_layout()
-            number = len(basix.topology(mesh.basix_cell())[tags.dim])
-            closure = np.array([layout.entity_closure_dofs(tags.dim, i) for i in range(number)])
-            to_cell = mesh.topology.connectivity(tags.dim, tdim)
-            owner = to_cell.array[to_cell.offsets[tags.indices]]
-            local = np.zeros(len(owner), dtype=np.int64)
-            if tags.dim < tdim:
-                sides = mesh.topology.connectivity(tdim, tags.dim).array.reshape(-1, number)
-                local = np.argmax(sides[owner] == tags.indices[:, None], axis=1)
-            dofs = geometry_dofmap(geometry)[owner[:, None], closure[local]]
-            nodes = geometry.input_global_indices[dofs]
-            entities.append(Entities(tag_name, kind.name, nodes, tags.values.astype(np.int32)))
-    return points, entities
+        raise ValueError(f"the format '{form}' of a {tag} is not one of XML, HDF, Binary")
+    if shape and data.size != np.prod(shape):
+        raise ValueError(f"a {tag} has {data.size} numbers and not {' x '.join(map(str, shape))}")
+    return data.reshape(shape or -1)

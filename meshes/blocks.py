@@ -7,8 +7,9 @@ from math import ceil, prod
 from mpi4py import MPI
 
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, gmsh, name_entities, session, set_size
+from ._gmsh import extract, generate, name_entities, set_size
 from ._grid import Grid
+from ._session import gmsh, session
 from .body import Body, distribute
 
 __all__ = ["block", "cook"]

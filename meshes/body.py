@@ -9,11 +9,14 @@ from mpi4py import MPI
 
 import numpy as np
 import ufl
+from dolfinx.fem import Function
 from dolfinx.mesh import Mesh, MeshTags, exterior_facet_indices
 from numpy.typing import NDArray
 
 from ._dolfinx import coordinate_element, create_tagged_mesh
+from ._fields import functions
 from ._grid import Grid
+from ._groups import Tag
 
 __all__ = ["Body", "distribute"]
 
@@ -29,8 +32,10 @@ class Body:
         mesh: The mesh.
         cell_tags: Tags of the cells.
         facet_tags: Tags of the named facets; facets without a name carry none.
-        regions: Tag of each region's name.
-        boundaries: Tag of each boundary's name.
+        regions: Tag of each region's name; tags, where regions overlap, one of each part.
+        boundaries: Tag, or tags, of each boundary's name.
+        data: Functions of what a file holds beside the mesh, by name: values of cells are piecewise
+            constant, those of points continuous and piecewise linear; NaN where there was none.
         interfaces: Names of the boundaries that lie wholly inside the body, between two cells.
 
     Raises:
@@ -40,16 +45,17 @@ class Body:
     mesh: Mesh
     cell_tags: MeshTags
     facet_tags: MeshTags
-    regions: Mapping[str, int]
-    boundaries: Mapping[str, int]
+    regions: Mapping[str, Tag]
+    boundaries: Mapping[str, Tag]
+    data: Mapping[str, Function] = field(default_factory=dict)
     interfaces: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
         topology = self.mesh.topology
         topology.create_connectivity(topology.dim - 1, topology.dim)
         exterior = exterior_facet_indices(topology)
-        cells = [self.cell_tags.find(tag) for tag in self.regions.values()]
-        facets = [self.facet_tags.find(tag) for tag in self.boundaries.values()]
+        cells = [_find(self.cell_tags, _several(tag)) for tag in self.regions.values()]
+        facets = [_find(self.facet_tags, _several(tag)) for tag in self.boundaries.values()]
         local = [len(c) for c in cells] + [len(f) for f in facets]
         local += [len(np.intersect1d(f, exterior)) for f in facets]
         counts = self.mesh.comm.allreduce(np.array(local, dtype=np.int64))
@@ -82,7 +88,7 @@ class Body:
         if not names:
             return np.sort(exterior_facet_indices(self.mesh.topology))
         tags = self._tags("boundary", self.boundaries, names)
-        return np.unique(np.concatenate([self.facet_tags.find(tag) for tag in tags]))
+        return _find(self.facet_tags, tags)
 
     def cells(self, *names: str) -> NDArray[np.int32]:
         """Cells of the named regions. Local.
@@ -100,7 +106,7 @@ class Body:
             cell_map = self.mesh.topology.index_map(self.mesh.topology.dim)
             return np.arange(cell_map.size_local + cell_map.num_ghosts, dtype=np.int32)
         tags = self._tags("region", self.regions, names)
-        return np.unique(np.concatenate([self.cell_tags.find(tag) for tag in tags]))
+        return _find(self.cell_tags, tags)
 
     def ds(self, *names: str, **metadata: Any) -> ufl.Measure:
         """Measure on exterior facets.
@@ -147,12 +153,21 @@ class Body:
         measure = ufl.Measure(kind, domain=self.mesh, subdomain_data=data)
         return measure(tags, **metadata) if tags else measure(**metadata)
 
-    def _tags(self, kind: str, known: Mapping[str, int], names: tuple[str, ...]) -> tuple[int, ...]:
+    def _tags(self, kind: str, known: Mapping[str, Tag], names: tuple[str, ...]) -> tuple[int, ...]:
         for name in names:
             if name not in known:
                 has = ", ".join(sorted(known)) or "none"
                 raise ValueError(f'no {kind} named "{name}"; this body has: {has}.')
-        return tuple(dict.fromkeys(known[name] for name in names))
+        return tuple(dict.fromkeys(tag for name in names for tag in _several(known[name])))
+
+
+def _several(tag: Tag) -> tuple[int, ...]:
+    return tag if isinstance(tag, tuple) else (tag,)
+
+
+def _find(tags: MeshTags, values: tuple[int, ...]) -> NDArray[np.int32]:
+    """Local cells (facets) with one of some tags, sorted, each once."""
+    return np.unique(np.concatenate([tags.find(value) for value in values]))
 
 
 def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
@@ -196,4 +211,5 @@ def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
         grid.facets,
         grid.boundaries,
     )
-    return Body(mesh, cell_tags, facet_tags, regions, boundaries)
+    data = functions(mesh, grid.cell_data, grid.point_data)
+    return Body(mesh, cell_tags, facet_tags, regions, boundaries, data)

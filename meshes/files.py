@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Bodies from files: gmsh's meshes and scripts, CAD, surfaces of triangles, XDMF."""
+"""Bodies from files: gmsh's meshes and scripts, CAD, surfaces of triangles, XDMF, VTK, Abaqus."""
 
+import re
+import warnings
 from math import pi, sqrt
+from mmap import ACCESS_READ, mmap
 from os import PathLike
 from pathlib import Path
 
@@ -9,16 +12,20 @@ from mpi4py import MPI
 
 import numpy as np
 
+from ._abaqus import read_abaqus
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, gmsh, merge, name_entities, require_groups, session, set_size
+from ._gmsh import extract, generate, name_entities, require_groups, set_size
 from ._grid import Grid
+from ._meshio import read_meshio
+from ._session import gmsh, merge, session
 from ._xdmf import read_xdmf
 from .body import Body, distribute
 
 __all__ = ["read"]
 
 CAD = (".step", ".stp", ".brep", ".iges", ".igs")
-SUFFIXES = (".msh", ".geo", *CAD, ".stl", ".xdmf")
+MESHES = (".msh", ".xdmf", ".vtu", ".vtk", ".inp")
+SUFFIXES = (*MESHES, ".geo", *CAD, ".stl")
 
 # Angle [rad] between neighboring triangles of an .stl above which there is an edge between faces.
 STL_EDGE = 40 * pi / 180
@@ -37,12 +44,21 @@ def read(
 
     Names of regions and boundaries:
         .msh, .geo: those of the physical groups; a group without a name is called by its number.
-            As in gmsh's own files, only what is in a physical group belongs to the mesh.
+            As in gmsh's own files, only what is in a physical group belongs to the mesh; if no
+            group holds cells and there is one surface or volume, it is the region body.
         .step, .stp, .brep, .iges, .igs: volume1, volume2, … and face1, face2, … by gmsh's numbers,
-            as its window shows them; of a file with faces only, face1, … and edge1, ….
+            as its window shows them, or what gmsh knows the faces to be called; of a file with
+            faces only, face1, … and edge1, ….
         .stl: volume1 and face2, face3, … likewise: its surface is cut along edges of more than 40
             degrees, and further where a face would not unroll into the plane.
-        .xdmf: the tags, as "1", "2", …; cells that have none are the region body.
+        .inp: those of the sets of elements, surfaces and sets of nodes, the latter for the facets
+            of the body's surface whose vertices are all in it.
+        .xdmf, .vtu, .vtk: the tags, as "1", "2", …. Tags are whole numbers, one per cell, called
+            gmsh:physical, cell_tags, regions, materials, … or the only ones of an integer type.
+        Cells that have none are the region body. Names may overlap.
+
+    Data of cells and points, which are not tags, are functions in `body.data`: attributes of an
+    .xdmf, data of a .vtu and .vtk, $ElementData and $NodeData of a .msh; of several steps the last.
 
     Args:
         comm: Communicator of the mesh.
@@ -52,7 +68,7 @@ def read(
         order: Polynomial order of the geometry, 1 or 2. None: the file's own, 1 for CAD and .stl.
         gdim: Dimension of space, 2 or 3. None: 2 for a mesh of surfaces with z = 0, else 3.
         scale: Factor on all coordinates: 1e-3 turns mm into m. CAD files are read in mm, whatever
-            unit they are written in.
+            unit they are written in. Data are taken as they are.
 
     Returns:
         The body.
@@ -60,6 +76,7 @@ def read(
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: A suffix, an argument, or a file's content that makes no body.
+        ImportError: No gmsh, meshio or h5py, where one of them reads the file.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -73,7 +90,7 @@ def read(
         check_order(order)
     if gdim not in (None, 2, 3):
         raise ValueError(f"gdim must be 2, 3 or None, got gdim={gdim}.")
-    if h is not None and suffix in (".msh", ".xdmf"):
+    if h is not None and suffix in MESHES:
         raise ValueError(
             f"{file.name} is a mesh already, got h={h}: leave h out, or read the geometry."
         )
@@ -81,7 +98,12 @@ def read(
     def make() -> Grid:
         if not file.is_file():
             raise FileNotFoundError(f"no file '{file}' in '{Path.cwd()}': check the path.")
-        grid = read_xdmf(file, gdim) if suffix == ".xdmf" else _read_gmsh(file, h, order, gdim)
+        readers = {".xdmf": read_xdmf, ".inp": read_abaqus}
+        readers |= {".vtu": read_meshio, ".vtk": read_meshio, ".msh": _read_msh}
+        if suffix in readers:
+            grid = readers[suffix](file, gdim)
+        else:
+            grid = _read_gmsh(file, h, order, gdim)
         if order is not None and grid.order != order:
             raise ValueError(
                 f"{file.name}: a mesh of order {grid.order} cannot be read with order={order}: "
@@ -93,6 +115,82 @@ def read(
     return distribute(comm, make)
 
 
+def _read_msh(file: Path, gdim: int | None) -> Grid:
+    """Read a .msh by gmsh; by meshio what gmsh cannot tell.
+
+    Of a file of version 2 gmsh knows to which groups an entity belongs, and not which element to
+    which of them, and drops elements of negative ones. In one of meshio's version 4.1 it misses the
+    entities.
+    """
+    found = re.match(rb"\s*\$MeshFormat\s+(\d)", file.read_bytes()[:200])
+    version = int(found[1]) if found else 1
+    with session():
+        try:
+            merge(str(file))
+        except Exception as error:  # gmsh raises bare Exceptions
+            if "Unknown entity" in str(error) and version > 3:
+                return read_meshio(file, gdim)
+            raise _unreadable(file, error) from None
+        _check_names(file)
+        if version == 2 and _number_of_elements(file) != sum(
+            len(numbers) for numbers in gmsh.model.mesh.getElements()[1]
+        ):
+            return read_meshio(file, gdim)
+        if version < 4:
+            for dim in 1, 2, 3:
+                groups: dict[int, str] = {}
+                for _, tag in gmsh.model.getPhysicalGroups(dim):
+                    name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
+                    for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
+                        other = groups.setdefault(entity, name)
+                        if other == name:
+                            continue
+                        if version == 2:
+                            return read_meshio(file, gdim)
+                        raise ValueError(
+                            f"{file.name}: entity {entity} of dimension {dim} is in both '{other}' "
+                            f"and '{name}', and a file of version 1 is not read then: write it "
+                            "again as version 4."
+                        )
+        return extract(file.name, gdim)
+
+
+def _number_of_elements(file: Path) -> int:
+    """What a .msh of version 2 says that it holds."""
+    with file.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as text:
+        at = text.find(b"$Elements")
+        return int(text[at + 9 : at + 40].split()[0]) if at >= 0 else 0
+
+
+def _check_names(file: Path) -> None:
+    """Refuse names that gmsh drops: of two groups alike, and of cells where none is in a group."""
+    with file.open("rb") as stream:
+        head = stream.read(2**20).decode(errors="replace")
+    section = re.search(r"\$PhysicalNames(.*?)\$EndPhysicalNames", head, re.DOTALL)
+    rows = re.findall(r'(\d+)\s+(-?\d+)\s+"(.*)"', section[1]) if section else []
+    named: dict[tuple[int, str], int] = {}
+    for dim, tag, name in rows:
+        if named.setdefault((int(dim), name), int(tag)) != int(tag):
+            raise ValueError(
+                f"{file.name}: two physical groups of dimension {dim} are named '{name}': rename "
+                "one."
+            )
+    tdim = gmsh.model.getDimension()
+    names = [name for dim, name in named if dim == tdim]
+    if names and tdim > 1 and not gmsh.model.getPhysicalGroups(tdim):
+        raise ValueError(
+            f"{file.name}: it names '{names[0]}', and says of no cell what it is called, as "
+            "meshio's version 4.1 does: write it with file_format='gmsh22'."
+        )
+
+
+def _unreadable(file: Path, error: Exception) -> ValueError:
+    return ValueError(
+        f"{file.name}: gmsh cannot read it ({error}): it may be truncated or no "
+        f"{file.suffix.lower()} at all, write it again."
+    )
+
+
 def _read_gmsh(file: Path, h: float | None, order: int | None, gdim: int | None) -> Grid:
     suffix = file.suffix.lower()
     if suffix == ".geo":
@@ -101,10 +199,7 @@ def _read_gmsh(file: Path, h: float | None, order: int | None, gdim: int | None)
         try:
             merge(str(file))
         except Exception as error:  # gmsh raises bare Exceptions
-            raise ValueError(
-                f"{file.name}: gmsh cannot read it ({error}): it may be truncated or no "
-                f"{suffix} at all, write it again."
-            ) from None
+            raise _unreadable(file, error) from None
         if suffix == ".geo":
             _mesh_script(file.name, h, order)
         elif suffix == ".stl":
@@ -112,7 +207,7 @@ def _read_gmsh(file: Path, h: float | None, order: int | None, gdim: int | None)
         elif suffix in CAD:
             _join_solids()
         if suffix == ".stl" or suffix in CAD:
-            dim = _name_by_number(file.name)
+            dim = _name_by_number(file)
             x0, y0, z0, x1, y1, z1 = gmsh.model.getBoundingBox(-1, -1)
             set_size(h or sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2) / 20)
             _mesh(file.name, dim, order or 1)
@@ -193,16 +288,43 @@ def _join_solids() -> None:
         gmsh.model.occ.synchronize()
 
 
-def _name_by_number(source: str) -> int:
-    """Name volumes and faces, or else faces and edges, by gmsh's numbers; the cells' dimension."""
+def _name_by_number(file: Path) -> int:
+    """Name volumes and faces, or else faces and edges, by gmsh's numbers; the cells' dimension.
+
+    Faces are called as gmsh knows them to be called, if it does.
+    """
     dim = gmsh.model.getDimension()
     if dim < 2:
         raise ValueError(
-            f"{source}: no volume and no face in it: it may be truncated, write it again."
+            f"{file.name}: no volume and no face in it: it may be truncated, write it again."
         )
     kinds = {3: "volume", 2: "face", 1: "edge"}
     cells = [tag for _, tag in gmsh.model.getEntities(dim)]
     sides = [tag for _, tag in gmsh.model.getBoundary([(dim, c) for c in cells], False, False)]
     name_entities(dim, {f"{kinds[dim]}{tag}": [tag] for tag in cells})
-    name_entities(dim - 1, {f"{kinds[dim - 1]}{tag}": [tag] for tag in sorted(set(sides))})
+    names: dict[str, list[int]] = {}
+    called = 0
+    for tag in sorted(set(sides)):
+        name = gmsh.model.getEntityName(2, tag).rpartition("/")[2] if dim == 3 else ""
+        called += bool(name)
+        names.setdefault(name or f"{kinds[dim - 1]}{tag}", []).append(tag)
+    name_entities(dim - 1, names)
+    if dim == 3 and not called and file.suffix.lower() in (".step", ".stp"):
+        _warn_of_lost_names(file)
     return dim
+
+
+def _warn_of_lost_names(file: Path) -> None:
+    """Say which names of faces gmsh has not read, and how to give them again."""
+    text = file.read_text(encoding="utf-8", errors="replace")
+    found = re.findall(r"ADVANCED_FACE\s*\(\s*'((?:[^']|'')*)'", text)
+    lost = [name for name in dict.fromkeys(found) if name.strip() and name.upper() != "NONE"]
+    if lost:
+        shown = ", ".join(f"'{name}'" for name in lost[:5]) + (", …" if len(lost) > 5 else "")
+        warnings.warn(
+            f"{file.name}: gmsh does not read the names of its faces ({shown}), which have their "
+            "numbers here: to keep names, look up the numbers in gmsh's window and read a "
+            f'.geo of the lines Merge "{file.name}"; Physical Volume("body") = {{1}}; '
+            f'Physical Surface("{lost[0]}") = {{3}}; and so on.',
+            stacklevel=2,
+        )

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arguments import check_order, check_positive
-from ._gmsh import extract, generate, gmsh, name_entities, session, set_size
+from ._gmsh import extract, generate, name_entities, set_size
 from ._grid import Grid
+from ._session import gmsh, session
 from .body import Body, distribute
 
 __all__ = ["cylinder", "ellipsoid", "sphere_octant"]
