@@ -116,6 +116,16 @@ def test_data_are_no_tags(tmp_path) -> None:
     assert integral(T, body.dx("2")) == pytest.approx((0 + 1 + 2 + 4) / 4 / 3, rel=1e-12)
 
 
+def test_whole_numbers_of_any_name_are_both(tmp_path) -> None:
+    """The only whole numbers under a name that tells nothing are regions, and data as well."""
+    (tmp_path / "a.xdmf").write_text(xdmf(attribute("grain", "1 2")))
+    body = meshes.read(COMM, tmp_path / "a.xdmf")
+    halves(body)
+    assert integral(body.data["grain"], body.dx()) == pytest.approx(1 / 6 + 2 / 3, rel=1e-12)
+    (tmp_path / "b.xdmf").write_text(xdmf(TAGS))
+    assert not meshes.read(COMM, tmp_path / "b.xdmf").data
+
+
 def test_tensors_and_last_steps(tmp_path) -> None:
     """Nine numbers are a tensor by rows; of a series in time the last step counts."""
     tensor = " ".join(map(str, range(18)))
