@@ -75,7 +75,8 @@ def split_tags(
     """Which of the arrays over cells are tags, and the others as numbers.
 
     Tags are one whole number per cell: the array with the first of gmsh's, DOLFINx's and meshio's
-    usual names that there is; else the only array of an integer type, unless it numbers the cells.
+    usual names that there is; else the only array of an integer type, unless it numbers the cells:
+    since this is a guess, it is among the others too.
     `only`: a single array is tags under any name, since nothing else is written this way.
     """
     whole = {
@@ -95,7 +96,7 @@ def split_tags(
     data = {
         name: np.asarray(values, dtype=np.float64)
         for name, values in arrays.items()
-        if name != chosen and values.dtype.kind in "iufb"
+        if (name != chosen or name not in known) and values.dtype.kind in "iufb"
     }
     return chosen, data
 

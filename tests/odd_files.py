@@ -346,6 +346,7 @@ FILES: dict[str, tuple[str | bytes, Outcome]] = {
     ),
     "data.vtk": (vtk(more="CELL_DATA 2\nSCALARS E double 1\nLOOKUP_TABLE default\n1\n2\n"), BOTH),
     "wedge.vtk": (vtk([(0, 1, 2, 3, 4, 0)], 13), "cells of meshio's type wedge"),
+    "unknown type.vtk": (vtk(kind=99), "unknown type.vtk: "),
     "points only.vtk": (vtk([(0,)], 1), "points only.vtk: "),
     "missing node.vtk": (vtk([TETS[0], (0, 2, 1, 9)]), "has the node 9, of 5"),
     "cut.vtk": (vtk()[:-25], "cut.vtk: "),

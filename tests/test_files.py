@@ -116,6 +116,16 @@ def test_data_are_no_tags(tmp_path) -> None:
     assert integral(T, body.dx("2")) == pytest.approx((0 + 1 + 2 + 4) / 4 / 3, rel=1e-12)
 
 
+def test_whole_numbers_of_any_name_are_both(tmp_path) -> None:
+    """The only whole numbers under a name that tells nothing are regions, and data as well."""
+    (tmp_path / "a.xdmf").write_text(xdmf(attribute("grain", "1 2")))
+    body = meshes.read(COMM, tmp_path / "a.xdmf")
+    halves(body)
+    assert integral(body.data["grain"], body.dx()) == pytest.approx(1 / 6 + 2 / 3, rel=1e-12)
+    (tmp_path / "b.xdmf").write_text(xdmf(TAGS))
+    assert not meshes.read(COMM, tmp_path / "b.xdmf").data
+
+
 def test_tensors_and_last_steps(tmp_path) -> None:
     """Nine numbers are a tensor by rows; of a series in time the last step counts."""
     tensor = " ".join(map(str, range(18)))
@@ -550,3 +560,31 @@ def test_data_of_n_ranks_are_those_of_one(session, tmp_path) -> None:
     for result in results[1:]:
         for name, facts in result.items():
             assert facts == pytest.approx(results[0][name], rel=1e-11), name
+
+
+@pytest.mark.parametrize("suffix", ["msh", "xdmf"])
+def test_the_benchmark_of_reading(tmp_path, suffix) -> None:
+    """At toy size the benchmark's box has all its cells, read by us on two ranks and by DOLFINx."""
+    reading = [sys.executable, "-m", "demos.benchmarks.reading"]
+    file = tmp_path / f"box.{suffix}"
+    calls = [
+        [*reading, "make", str(tmp_path), "4"],
+        ["mpirun", "-n", "2", *reading, str(file), "ours"],
+        [*reading, str(file), "dolfinx"],
+    ]
+    lines = []
+    for call in calls:
+        done = subprocess.run(
+            call,
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        lines.append(done.stdout.splitlines()[-1:])
+    ours, dolfinx = (json.loads(line[0]) for line in lines[1:])
+    assert ours["cells"] == dolfinx["cells"] == 6 * 4**3
+    assert ours["ranks"] == len(ours["peak"]) == 2

@@ -82,7 +82,7 @@ def test_formulas_are_typeset(text, wanted):
 
 
 def test_every_body_has_one_row():
-    """All functions of meshes that make a body, but ``read``, are in the table."""
+    """All functions of meshes that make a body from numbers are in the table."""
     assert [row.name for row in bodies.ROWS] == bodies.makers()
 
 

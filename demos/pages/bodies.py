@@ -142,7 +142,8 @@ def makers():
     return [
         name
         for name in functions
-        if inspect.signature(getattr(meshes, name)).return_annotation in body and name != "read"
+        if inspect.signature(getattr(meshes, name)).return_annotation in body
+        and name not in ("read", "from_arrays")
     ]
 
 
@@ -211,7 +212,8 @@ def lines():
         ]
         table.append([f"`{signature(row.name)}`", shape(row.name), "; ".join(texts), row.note])
     read = [f"`{signature('read')}`", "your own, see below", "the file's", "`scale=1e-3`: mm to m"]
-    return out + markdown(("Function", "Shape", "Boundaries", "Parameters"), [*table, read])
+    arrays = [f"`{signature('from_arrays')}`", "your own, see below", "as given", ""]
+    return out + markdown(("Function", "Shape", "Boundaries", "Parameters"), [*table, read, arrays])
 
 
 # --- the pictures -------------------------------------------------------------------------------
