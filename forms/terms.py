@@ -79,7 +79,7 @@ class FormTerm:
         energy_form: Compiled potential; None where only a residual was given.
         residual_form: Compiled residual.
         tangent_form: Compiled tangent.
-        tangent_ufl: Tangent in UFL.
+        residual_ufl, tangent_ufl: Residual and tangent in UFL.
         potential: Total potential, or residual, that all of it was derived from.
         constants: Constants in the forms.
     """
@@ -105,7 +105,7 @@ class FormTerm:
                     f"{count}; add a load's potential to the potential instead."
                 )
             R = with_quadrature(R + virtual_work, degree)
-        self.tangent_ufl = K = tangent(R, u)
+        self.residual_ufl, self.tangent_ufl = R, (K := tangent(R, u))
         parts = [expanded(potential), R]
         parts += [c.jets.packed for part in parts for c in dependents(part) if isinstance(c, Jet)]
         found = dict.fromkeys(c for part in parts for c in dependents(part))

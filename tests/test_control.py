@@ -134,6 +134,7 @@ def test_ranks_agree(parallel, root):
         ({"q": 1.0}, "needs a scalar Constant q, got float"),
         ({"q": "other"}, "the potential does not contain q"),
         ({"functional": "none"}, "residual needs a potential"),
+        ({"targets": []}, "control needs a functional of u, .* got Form and 0 targets"),
     ],
 )
 def test_bad_input_gets_one_sentence(change, message):
@@ -142,4 +143,5 @@ def test_bad_input_gets_one_sentence(change, message):
     q = {"other": fem.Constant(mesh, 1.0)}.get(change.get("q"), change.get("q", p))
     functional = fem.Constant(mesh, 1.0) * ufl.dx if "functional" in change else volume
     with pytest.raises(ValueError, match=message):
-        forms.control(potential, u, held, q, functional, [1.0], progress=False)
+        aims = change.get("targets", [1.0])
+        forms.control(potential, u, held, q, functional, aims, progress=False)

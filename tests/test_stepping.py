@@ -14,26 +14,31 @@ from variform import forms, meshes
 STRETCHES = (1.05, 1.15, 1.3, 1.5, 1.8, 3.0)
 
 
-def targets(**options):
-    """A balloon's volumes, the last one so far that it takes halved steps."""
+def targets(once=False, **options):
+    """A balloon's volumes."""
     potential, u, held, p, volume = sphere(0.5, 1)
     aims = forms.integral(volume) * np.array(STRETCHES) ** 3
-    return forms.control(potential, u, held, p, volume, aims, progress=False, **options)
+    scene = (forms.Problem(potential, u, held),) if once else (potential, u, held)
+    options = {"q": p, "functional": volume, "targets": aims, "progress": False} | options
+    return forms.control(*scene, **options)
 
 
-def arc(**options):
+def arc(once=False, **options):
     """A block that is bent, in lengths of its own choice."""
     body = meshes.block(MPI.COMM_SELF, (4.0, 1.0), n=(8, 2), cells="quadrilateral")
     u, q = forms.displacement(body), forms.load_factor(body)
     load = forms.dead_traction(u, (0 * q, -0.2 * q), body.ds("right"))
     held = [forms.clamp(u, body.facets("left"))]
-    options = {"step": 0.1, "to": 1.0, "progress": False} | options
-    return forms.arc_length(solid(u) + load, u, held, q, **options)
+    scene = (forms.Problem(solid(u) + load, u, held),) if once else (solid(u) + load, u, held)
+    options = {"q": q, "step": 0.1, "to": 1.0, "progress": False} | options
+    return forms.arc_length(*scene, **options)
 
 
-def walk(**options):
+def walk(once=False, **options):
     """A block that is twisted by load steps."""
-    return forms.follow(*twist(), progress=False, **options)
+    *scene, t = twist()
+    scene = (forms.Problem(*scene),) if once else scene
+    return forms.follow(*scene, t=t, progress=False, **options)
 
 
 PATHS = {"argvalues": [walk, targets, arc], "ids": ["follow", "control", "arc_length"]}
@@ -53,6 +58,13 @@ def test_a_path_broken_off_goes_on_bit_by_bit(lead, tmp_path):
     assert path.steps == plain.steps and path.refused == plain.refused
     assert np.array_equal(path.u.x.array, plain.u.x.array)
     assert path.reason == plain.reason
+
+
+@pytest.mark.parametrize("lead", **PATHS)
+def test_a_problem_leads_the_same_path(lead):
+    """A Problem in place of potential, unknown and supports: step for step the same."""
+    parts, whole = lead(), lead(once=True)
+    assert whole.steps == parts.steps and np.array_equal(whole.u.x.array, parts.u.x.array)
 
 
 @pytest.mark.parametrize("lead", **PATHS)

@@ -14,16 +14,17 @@ from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, check_record
 from ..problems import Problem
 from ..supports import Support
-from .bordered import Bordered
+from .bordered import Bordered, scalar
 from .controls.arc import ArcLength
+from .reuse import problem_for
 from .stepping import advance
 
 
 def arc_length(
-    potential: ufl.Form,
-    u: fem.Function,
-    supports: Iterable[Support],
-    q: fem.Constant,
+    potential: ufl.Form | Problem,
+    u: fem.Function | None = None,
+    supports: Iterable[Support] = (),
+    q: fem.Constant | None = None,
     *,
     step: float,
     to: float | None = None,
@@ -49,7 +50,8 @@ def arc_length(
     by more than 37 degrees from the step. Collective.
 
     Args:
-        potential: Total potential [J] of u that contains q.
+        potential: Total potential [J] of u that contains q; or a :class:`forms.Problem`, which
+            comes with its unknown and supports.
         u: Unknown, starting from its present values, in equilibrium at the present q or near it.
         supports: Prescribed displacements; they do not depend on q.
         q: Load factor, found along.
@@ -82,9 +84,11 @@ def arc_length(
     """
     _check(step, to, steps, until, largest, float(getattr(q, "value", 0.0)))
     check_record(record)
-    archive = None if checkpoint is None else Archive(checkpoint, u, "path of arc_length")
-    bordered = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    path = Path(u, bordered.problem, begin=bordered.load)
+    q = scalar(q, "arc_length")
+    problem = problem_for(potential, u, supports, virtual_work)
+    archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of arc_length")
+    bordered = Bordered(problem, q, rtol, ctol, max_iterations)
+    path = Path(problem.u, problem, begin=bordered.load)
     with bordered.kept_if_sound():
         steps_of = ArcLength(path, bordered, step, to, steps, until, largest, along)
     advance(steps_of, record, on_step, archive, progress)

@@ -11,9 +11,9 @@ direction, as a flat sheet, it is damped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
@@ -26,13 +26,9 @@ from ufl.algorithms.analysis import extract_constants
 
 from ..compilation import compiled
 from ..differentiation import dependents, expanded
-from ..loads import with_kinematics
 from ..operators.jets import Jet
 from ..paths import Convergence
 from ..problems import Problem
-from ..quadrature import with_quadrature
-from ..supports import Support
-from ..variation import residual
 from .damping import Damping
 from .finite import ADVICE, not_finite
 from .linear import presets
@@ -62,41 +58,29 @@ class Bordered:
     """Newton's method for (u, q).
 
     Args:
-        potential: Total potential [J] of u that contains q.
-        u: Unknown.
-        supports: Prescribed displacements.
+        problem: Its potential contains q.
         q: Scalar unknown.
-        virtual_work: Linear form added to the residual, for loads without a potential.
         rtol: Tolerance of |R_free| relative to the force level, and of g relative to its scale.
         ctol: Tolerance of the last correction relative to the model's size.
         max_iterations: Newton iterations per solve.
 
     Raises:
-        ValueError: q is no scalar Constant, is not in the potential, or stands inside the operand
-            of an energy in singular values.
+        ValueError: q is not in the potential, or stands inside the operand of an energy in
+            singular values.
     """
 
     def __init__(
         self,
-        potential: ufl.Form,
-        u: fem.Function,
-        supports: Iterable[Support],
+        problem: Problem,
         q: fem.Constant,
-        virtual_work: ufl.Form | None = None,
         rtol: float = 1e-8,
         ctol: float = 1e-6,
         max_iterations: int = 30,
     ) -> None:
-        if not isinstance(q, fem.Constant) or q.ufl_shape != ():
-            raise ValueError(f"a path needs a scalar Constant q, got {type(q).__name__}.")
-        self.problem = Problem(potential, u, supports, virtual_work)
+        self.problem = problem
         self.q, self.rtol, self.ctol, self.most = q, rtol, ctol, max_iterations
-        self.degree = self.problem.displacement_degree
-        potential, virtual_work = with_kinematics(potential, virtual_work)
-        R = residual(with_quadrature(potential, self.degree), u)
-        if virtual_work is not None:
-            R += with_quadrature(virtual_work, self.degree)
-        R_q = by_constant(R, q)
+        self.degree = problem.displacement_degree
+        R_q = by_constant(problem.forms.residual_ufl, q)
         if R_q.empty():
             raise ValueError("the potential does not contain q: write a load with it.")
         self._R_q = compiled(R_q)
@@ -291,6 +275,17 @@ class Bordered:
         vectors = (self.b, self.R, self.R_q, self.du, self.du_q, self.g_u)
         for item in (self.ksp, self.A, self.scaled, *vectors):
             item.destroy()
+
+
+def scalar(q: Any, asked: str) -> fem.Constant:
+    """The scalar unknown of a call.
+
+    Raises:
+        ValueError: it is no scalar Constant.
+    """
+    if not isinstance(q, fem.Constant) or q.ufl_shape != ():
+        raise ValueError(f"{asked} needs a scalar Constant q, got {type(q).__name__}.")
+    return q
 
 
 def by_constant(form: ufl.Form, q: fem.Constant) -> ufl.Form:

@@ -13,18 +13,19 @@ from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, check_record
 from ..problems import Problem
 from ..supports import Support
-from .bordered import Bordered
+from .bordered import Bordered, scalar
 from .controls.target import Targets
+from .reuse import problem_for
 from .stepping import advance
 
 
 def control(
-    potential: ufl.Form,
-    u: fem.Function,
-    supports: Iterable[Support],
-    q: fem.Constant,
-    functional: ufl.Form,
-    targets: Sequence[float],
+    potential: ufl.Form | Problem,
+    u: fem.Function | None = None,
+    supports: Iterable[Support] = (),
+    q: fem.Constant | None = None,
+    functional: ufl.Form | None = None,
+    targets: Sequence[float] = (),
     *,
     virtual_work: ufl.Form | None = None,
     rtol: float = 1e-8,
@@ -42,7 +43,8 @@ def control(
     in halved steps.
 
     Args:
-        potential: Total potential [J] of u that contains q.
+        potential: Total potential [J] of u that contains q; or a :class:`forms.Problem`, which
+            comes with its unknown and supports.
         u: Unknown, starting from its present values, in equilibrium or near it.
         supports: Prescribed displacements.
         q: Scalar unknown; its value is the first guess.
@@ -65,12 +67,20 @@ def control(
 
     Raises:
         NotConverged: a step failed at MAX_HALVINGS halvings; u and q hold the last state.
-        ValueError: the potential does not contain q, or the functional does not depend on u.
+        ValueError: the potential does not contain q, the functional does not depend on u, or no
+            targets.
     """
     check_record(record)
-    archive = None if checkpoint is None else Archive(checkpoint, u, "path of control")
-    bordered = Bordered(potential, u, supports, q, virtual_work, rtol, ctol, max_iterations)
-    path = Path(u, bordered.problem, begin=bordered.load)
+    q = scalar(q, "control")
+    if not isinstance(functional, ufl.Form) or len(targets) == 0:
+        raise ValueError(
+            "control needs a functional of u, a UFL form, and its targets, got "
+            f"{type(functional).__name__} and {len(targets)} targets."
+        )
+    problem = problem_for(potential, u, supports, virtual_work)
+    archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of control")
+    bordered = Bordered(problem, q, rtol, ctol, max_iterations)
+    path = Path(problem.u, problem, begin=bordered.load)
     with bordered.kept_if_sound():
         along = Targets(path, bordered, functional, targets)
     return advance(along, record, on_step, archive, progress)
