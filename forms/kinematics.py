@@ -119,8 +119,8 @@ def isochoric(F: Expr) -> Expr:
     """Volume-preserving part J^(-1/3) F of a 3x3 deformation gradient; NaN where J < 0.
 
     Its strains and invariants by this module, and :func:`isochoric_invariants`, have the power of J
-    outside, as J^(-2/3) (F^T F). In each entry of a product, as ``ufl.inner`` makes it, its
-    derivatives take two to six times as long to compile, and up to four times as long to run.
+    outside, as J^(-2/3) (F^T F). With it in each entry, as ``ufl.inner`` of this tensor has it, a
+    tangent takes up to six times as long to compile, and up to four times as long to run.
     """
     return ufl.det(F) ** (-1 / 3) * F
 
