@@ -101,7 +101,8 @@ def plane_stress_incompressible(u: Expr) -> Expr:
 
 def right_cauchy_green(F: Expr) -> Expr:
     """Right Cauchy-Green tensor C = F^T F (3)."""
-    return F.T * F
+    k, G = _factored(F)
+    return k * (G.T * G)
 
 
 def left_cauchy_green(F: Expr) -> Expr:
@@ -115,8 +116,30 @@ def volume_ratio(F: Expr) -> Expr:
 
 
 def isochoric(F: Expr) -> Expr:
-    """Volume-preserving part J^(-1/3) F of a 3x3 deformation gradient; NaN where J < 0."""
+    """Volume-preserving part J^(-1/3) F of a 3x3 deformation gradient; NaN where J < 0.
+
+    Its strains and invariants by this module, and :func:`isochoric_invariants`, have the power of J
+    outside, as J^(-2/3) (F^T F). With it in each entry, as ``ufl.inner`` of this tensor has it, a
+    tangent takes up to six times as long to compile, and up to four times as long to run.
+    """
     return ufl.det(F) ** (-1 / 3) * F
+
+
+def isochoric_invariants(F: Expr) -> tuple[Expr, Expr]:
+    """Invariants of the isochoric C-bar = J^(-2/3) F^T F, for energies psi(I1, I2) of rubber.
+
+    I1 = tr C-bar = J^(-2/3) F : F
+    I2 = ((tr C-bar)^2 - C-bar : C-bar) / 2 = J^(-4/3) cof F : cof F,  cof F = J F^-T
+
+    I2 is the classical second invariant, not the II of :func:`invariants`. Both are 3 at rest and
+    larger elsewhere; NaN where J < 0.
+
+    Args:
+        F: Deformation gradient, shape (3, 3), not its isochoric part.
+    """
+    k, cofactors = ufl.det(F) ** (-2 / 3), ufl.cofac(F)
+    # Squares of cofactors do not cancel, as I1^2 and C : C do under large stretches.
+    return k * ufl.inner(F, F), k**2 * ufl.inner(cofactors, cofactors)
 
 
 def green_strain(F: Expr) -> Expr:
@@ -144,10 +167,12 @@ def invariants(F: Expr) -> tuple[Expr, Expr, Expr]:
 
     I = tr C,  II = C : C,  III = det C = J^2.
 
-    II is not the classical second invariant, which is (I^2 - II) / 2.
+    II is not the classical second invariant, which is (I^2 - II) / 2: for that of rubber see
+    :func:`isochoric_invariants`.
     """
-    C = right_cauchy_green(F)
-    return ufl.tr(C), ufl.inner(C, C), ufl.det(F) ** 2
+    k, G = _factored(F)
+    C = G.T * G
+    return k * ufl.tr(C), k**2 * ufl.inner(C, C), ufl.det(F) ** 2
 
 
 def deformed_fiber(F: Expr, A: Expr) -> Expr:
@@ -166,9 +191,26 @@ def fiber_invariants(F: Expr, A: Expr) -> tuple[Expr, Expr]:
         ValueError: A is no vector of three components (also on a plane mesh), or one of numbers
             whose length is not 1.
     """
-    a = deformed_fiber(F, direction(A, "a fiber"))
-    Ca = F.T * a
-    return ufl.dot(a, a), ufl.dot(Ca, Ca)
+    k, G = _factored(F)
+    a = deformed_fiber(G, direction(A, "a fiber"))
+    Ca = G.T * a
+    return k * ufl.dot(a, a), k**2 * ufl.dot(Ca, Ca)
+
+
+def _factored(F: Expr) -> tuple[Expr, Expr]:
+    """Factor k and G of F^T F = k G^T G: J^(-2/3) and F for ``isochoric(F)``, 1 and F for others.
+
+    The isochoric part is known by its form, and not by a ``ufl.variable``: one could be
+    differentiated by, which would give 0 where only its F is left.
+    """
+    if isinstance(F, ufl.classes.ComponentTensor):
+        entry, indices = F.ufl_operands
+        for factor in entry.ufl_operands if isinstance(entry, ufl.classes.Product) else ():
+            if isinstance(factor, ufl.classes.Indexed) and factor.ufl_operands[1] == indices:
+                G = factor.ufl_operands[0]
+                if G.ufl_shape == (3, 3) and ufl.det(G) ** (-1 / 3) in entry.ufl_operands:
+                    return ufl.det(G) ** (-2 / 3), G
+    return 1, F
 
 
 def _dimension(u: Expr, name: str) -> int:

@@ -2,9 +2,11 @@
 """Laws of every energy: rest, objectivity, small-strain moduli, stresses in closed form, domain."""
 
 import functools
+import math
 
 import numpy as np
 import pytest
+import reference
 import ufl
 from cases import (
     ENERGIES,
@@ -18,8 +20,9 @@ from cases import (
     random_rotation,
     random_state,
 )
+from mpmath import mpf
 
-from variform.forms import energies
+from variform.forms import energies, stress
 
 EVERY = ENERGIES | STRETCHES
 every_energy = pytest.mark.parametrize("name", EVERY)
@@ -174,6 +177,48 @@ def test_guccione_is_the_formula_in_fiber_axes(rng):
     Q += 2 * 4 * (E[0, 1] ** 2 + E[0, 2] ** 2)
     psi = 2 / 2 * (np.exp(Q) - 1) + KAPPA / 2 * (np.linalg.det(F) - 1) ** 2
     assert evaluator("guccione")(F)["psi"] == pytest.approx(psi, rel=1e-12)
+
+
+def isochoric_bars(s):
+    """I1, I2 of J^(-1/3) F, from its stretches."""
+    root = math.prod(s) ** (mpf(1) / 3)
+    b = [(x / root) ** 2 for x in s]
+    return sum(b), b[0] * b[1] + b[1] * b[2] + b[2] * b[0]
+
+
+# As they are defined, with the parameters of cases.py; the volume term is that of all three.
+ISOCHORIC = {
+    "isochoric_neo_hookean": lambda I1, I2: MU / 2 * (I1 - 3),
+    "mooney_rivlin": lambda I1, I2: 0.4 * (I1 - 3) + 0.25 * (I2 - 3),
+    "yeoh": lambda I1, I2: 0.65 * (I1 - 3) - 0.05 * (I1 - 3) ** 2 + 0.02 * (I1 - 3) ** 3,
+}
+
+
+@pytest.mark.parametrize("strain", [0, 1e-8, 1e-6, 1e-4, 1e-2, 0.3, 1, "drawn out", "pressed flat"])
+@pytest.mark.parametrize("name", ISOCHORIC)
+def test_isochoric_energies_to_all_digits(name, strain, rng):
+    """psi, P and the elasticity are those of psi(J^(-1/3) F) in 110 digits, to 14 digits.
+
+    Of the moduli, and of the largest entry where that is more: near rest psi and P are differences
+    of terms of the moduli's size, as F itself is one of I and the gradient, to 16 digits.
+    """
+
+    def psi(s, f):
+        J = math.prod(s)
+        return ISOCHORIC[name](*isochoric_bars(s)) + KAPPA / 4 * (J**2 - 1 - 2 * f.ln(J))
+
+    given = {"drawn out": np.diag([7, 0.3, 0.4]), "pressed flat": np.diag([1.2, 1.3, 0.1])}
+    F = given.get(strain)
+    while F is None or np.linalg.det(F) < 0.1:
+        F = np.eye(3) + strain * rng.uniform(-1, 1, size=(3, 3))
+    F = random_rotation(rng) @ F @ random_rotation(rng) if strain in given else F
+    found = evaluator(name)(F)
+    W, P, A = reference.derivatives(psi, F)
+    sigma, J = P @ F.T / np.linalg.det(F), np.linalg.det(F)
+    c = np.einsum("iJkL,jJ,lL->ijkl", A, F, F) / J - np.einsum("ik,jl->ijkl", np.eye(3), sigma)
+    wanted = {"psi": W, "P": P, "c": [[c[*ij, *kl] for kl in stress.VOIGT] for ij in stress.VOIGT]}
+    for key, value in wanted.items():
+        assert np.abs(found[key] - value).max() < 1e-14 * max(KAPPA, np.abs(value).max())
 
 
 @every_energy

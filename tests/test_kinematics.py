@@ -9,6 +9,7 @@ import pytest
 import ufl
 from cases import random_state, unit_mesh
 from dolfinx import fem
+from ufl.corealg.traversal import unique_pre_traversal
 
 from variform import forms
 from variform.forms import kinematics
@@ -66,6 +67,40 @@ def test_isochoric_part_keeps_the_volume(rng):
     """det(J^(-1/3) F) = 1."""
     f = matrix(random_state(rng))
     assert evaluate(ufl.det(forms.kinematics.isochoric(f))) == pytest.approx(1, rel=1e-12)
+
+
+def test_isochoric_invariants(rng):
+    """I1 = tr C, I2 = ((tr C)^2 - C : C)/2 of C = J^(-2/3) F^T F; both 3 at rest, exactly."""
+    for _ in range(5):
+        F = random_state(rng)
+        C = np.linalg.det(F) ** (-2 / 3) * F.T @ F
+        found = [evaluate(i) for i in kinematics.isochoric_invariants(matrix(F))]
+        wanted = [np.trace(C), (np.trace(C) ** 2 - np.sum(C * C)) / 2]
+        assert found == pytest.approx(wanted, rel=1e-14)
+    rest = kinematics.isochoric_invariants(matrix(np.eye(3)))
+    assert [evaluate(i) for i in rest] == [3, 3]
+
+
+@pytest.mark.parametrize("variable", [False, True])
+def test_strains_and_invariants_of_the_isochoric_part(variable, rng):
+    """Of J^(-1/3) F they are what NumPy finds, whether the power of J is taken out of them or not.
+
+    Of a ``ufl.variable`` it is not: what is differentiated by has to stay inside.
+    """
+    F, A = random_state(rng), np.array([0.6, 0.0, 0.8])
+    a, f = ufl.as_vector(A.tolist()), ufl.variable(matrix(F))
+    part = kinematics.isochoric(f)
+    if variable:
+        part = ufl.variable(part)
+    C = np.linalg.det(F) ** (-2 / 3) * F.T @ F
+    strains = kinematics.right_cauchy_green(part), kinematics.green_strain(part)
+    for found, wanted in zip(strains, (C, (C - np.eye(3)) / 2), strict=True):
+        assert np.abs(evaluate(found) - wanted).max() < 1e-14
+    both = *kinematics.invariants(part), *kinematics.fiber_invariants(part, a)
+    wanted = [np.trace(C), np.sum(C * C), 1, A @ C @ A, A @ C @ C @ A]
+    assert [evaluate(i) for i in both] == pytest.approx(wanted, rel=1e-14)
+    inside = [any(node == part for node in unique_pre_traversal(e)) for e in (*strains, *both)]
+    assert inside == [variable, variable, variable, variable, True, variable, variable]
 
 
 @pytest.mark.parametrize("dim", [2, 3])

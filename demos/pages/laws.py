@@ -17,7 +17,8 @@ from .energies import ROOT
 LAWS = {
     "kinematics": "strains and line elements (1)-(5), invariants (13), (22); plane models; "
     "P33 = 0 where condensed",
-    "energies": "rest, objectivity, symmetry, moduli of small strains, (18), (19), (23), domains",
+    "energies": "rest, objectivity, symmetry, moduli of small strains, (18), (19), (23), domains; "
+    "isochoric energies against 110-digit differences",
     "variation": "residual and tangent are derivatives, every energy in every kinematics; "
     "(29), (32), (34), (52); (12), (27), (28)",
     "point_kernels": "signed singular values; stress and tangent of ten energies against 110-digit "

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import ufl
 
 from .._types import Expr
-from ..kinematics import green_strain, invariants, isochoric
+from ..kinematics import green_strain, invariants, isochoric_invariants
 from .moduli import check_moduli, check_positive
 
 VOLUMETRIC = ("quadratic", "simo", "log")
@@ -96,8 +96,8 @@ def isochoric_neo_hookean(F: Expr, mu: Expr) -> Expr:
 
     Add :func:`volumetric` or :func:`with_pressure`: alone it does not resist a change of volume.
     """
-    F = isochoric(_checked(F, "isochoric_neo_hookean", mu=mu))
-    return mu / 2 * (ufl.inner(F, F) - 3)
+    I1, _ = isochoric_invariants(_checked(F, "isochoric_neo_hookean", mu=mu))
+    return mu / 2 * (I1 - 3)
 
 
 def mooney_rivlin(F: Expr, c10: Expr, c01: Expr) -> Expr:
@@ -112,8 +112,8 @@ def mooney_rivlin(F: Expr, c10: Expr, c01: Expr) -> Expr:
 
     Add :func:`volumetric` or :func:`with_pressure`.
     """
-    I1, CC, _ = invariants(isochoric(_checked(F, "mooney_rivlin", c10=c10, c01=c01)))
-    return c10 * (I1 - 3) + c01 * ((I1**2 - CC) / 2 - 3)
+    I1, I2 = isochoric_invariants(_checked(F, "mooney_rivlin", c10=c10, c01=c01))
+    return c10 * (I1 - 3) + c01 * (I2 - 3)
 
 
 def yeoh(F: Expr, c1: Expr, c2: Expr, c3: Expr) -> Expr:
@@ -124,8 +124,8 @@ def yeoh(F: Expr, c1: Expr, c2: Expr, c3: Expr) -> Expr:
     Add :func:`volumetric` or :func:`with_pressure`.
     Source: Yeoh, Rubber Chem. Technol. 66 (1993) 754-771.
     """
-    F = isochoric(_checked(F, "yeoh", c1=c1, c2=c2, c3=c3))
-    k = ufl.inner(F, F) - 3
+    I1, _ = isochoric_invariants(_checked(F, "yeoh", c1=c1, c2=c2, c3=c3))
+    k = I1 - 3
     return c1 * k + c2 * k**2 + c3 * k**3
 
 
