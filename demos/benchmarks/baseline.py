@@ -183,6 +183,8 @@ def main(names, write=False):
 
 if __name__ == "__main__":
     words = [word for word in sys.argv[1:] if not word.startswith("--")]
+    if unknown := sorted(set(words) - set(SCENES)):
+        sys.exit(f"no scene {', '.join(unknown)}: there are {', '.join(SCENES)}.")
     chosen = words or (SMALL if "--small" in sys.argv else list(SCENES))
     given, sys.argv = sys.argv[1:], sys.argv[:1]  # demos read the rest
     sys.exit(0 if main(chosen, write="--write" in given) else 1)
