@@ -57,7 +57,7 @@ class Term(Protocol):
         """Return to the last accepted state."""
 
     def history(self) -> dict[str, NDArray]:
-        """What a checkpoint has to keep besides the unknown."""
+        """What is kept besides the unknown; a path with such a term takes no checkpoints yet."""
 
 
 class FormTerm:

@@ -8,6 +8,7 @@ import pytest
 from test_checkpoint import Stopped, files, names, stop_after, twist
 from test_checkpoint import neo_hookean as solid
 from test_control import sphere
+from test_problems import Well
 
 from variform import forms, meshes
 
@@ -106,3 +107,13 @@ def test_a_path_tells_how_it_went(lead):
         "recorded: least",
     ):
         assert part in words
+
+
+def test_a_checkpoint_that_would_forget_is_refused(tmp_path):
+    """A term's own state is in no checkpoint: said before the first step."""
+    *scene, t = twist()
+    potential, u, held = scene
+    problem = forms.Problem([potential, Well(u, 1.0, 0.0)], u, held)
+    with pytest.raises(ValueError, match="holds the unknown only, and terms keep more, 1:calls:"):
+        forms.follow(problem, t=t, checkpoint=forms.Checkpoint(tmp_path), progress=False)
+    assert names(tmp_path) == [] and not u.x.array.any()

@@ -98,6 +98,7 @@ def advance(
         The control's path, whatever it ended by noted in it.
 
     Raises:
+        ValueError: checkpoints of a problem whose terms keep a state beside the unknown.
         NotConverged: no smaller step converges; the last accepted state is left behind, as it is
             after any other exception, Ctrl-C included.
     """
@@ -113,6 +114,11 @@ def advance(
                 control.saved()
 
     try:
+        if archive is not None and (kept := sorted(path.problem.history())):
+            raise ValueError(
+                f"a checkpoint holds the unknown only, and terms keep more, {', '.join(kept)}: "
+                "lead this path without one."
+            )
         control.begin()
         if archive is not None and (saved := archive.read()) is not None:
             path.take_up(saved.steps, saved.control)
