@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,9 +17,10 @@ from .. import _dolfinx
 from ..compilation import compiled
 from ..differentiation import expanded
 from ..insertion import assemble, create_matrix
-from ..paths import REASONS
+from ..paths import REASONS, Convergence
 from ..problems import Problem
 from ..variation import residual, tangent
+from .ladder import Failure
 
 NAN = "nan or infinite"
 LONGEST = 100  # characters of a summand in a sentence
@@ -47,6 +49,15 @@ def not_finite(problem: Problem, A: PETSc.Mat) -> str:
         culprit = f"{culprit[: LONGEST // 2]} … {culprit[-LONGEST // 2 :]}"
     what = f"of the summand {culprit} " if culprit else ""
     return f"the second derivative {what}is not finite at {place}"
+
+
+def explained(outcome: Convergence, problem: Problem, A: PETSc.Mat) -> Convergence:
+    """An outcome, with the cause of linear solves that fail where the tangent at it shows one."""
+    if outcome.converged or outcome.code != Failure.LINEAR:
+        return outcome
+    problem.tangent(A)
+    cause = not_finite(problem, A)
+    return replace(outcome, reason=cause, advice=ADVICE) if cause else outcome
 
 
 def undefined(problem: Problem) -> str:

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from petsc4py import PETSc
@@ -15,7 +13,7 @@ import numpy as np
 from ..paths import REASONS, Convergence
 from ..problems import Problem
 from .criteria import Criteria
-from .finite import ADVICE, not_finite, undefined
+from .finite import explained, undefined
 from .ladder import Failure, Merit, Way
 from .options import SolverOptions
 from .predictor import predict
@@ -123,7 +121,7 @@ class Newton:
             outcome = self._run(outcome)
         self._start.destroy()
         self.criteria.imbalance = None
-        return self._explained(outcome)
+        return explained(outcome, problem, self.tangent.A)
 
     def _run(self, before: Convergence | None = None) -> Convergence:
         """One run of SNES, its counts added to those of an earlier one."""
@@ -146,14 +144,6 @@ class Newton:
             # A run that goes on from another one meets its last residual again.
             residuals=last.residuals + run.residuals[before is not None :],
         )
-
-    def _explained(self, outcome: Convergence) -> Convergence:
-        """The outcome, with the cause of linear solves that fail where the tangent shows it."""
-        if outcome.converged or outcome.code != Failure.LINEAR:
-            return outcome
-        self.tangent.scaled.tangent()
-        cause = not_finite(self.problem, self.tangent.A)
-        return replace(outcome, reason=cause, advice=ADVICE) if cause else outcome
 
     def _goes_on(self, outcome: Convergence) -> bool:
         """Take the first way of the ladder that fits a failure; False where none does."""
@@ -248,13 +238,8 @@ class Newton:
 
     def rest(self) -> None:
         """End a use, until :meth:`begin`; warns of options that PETSc never asked for."""
-        unused = self.options.unused()
-        if unused and self._solved:
-            warnings.warn(
-                f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
-                "for another solver?",
-                stacklevel=4,
-            )
+        if self._solved:
+            self.options.warn_of_unused()
         self.options.rest()
 
     def destroy(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+import warnings
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -60,10 +61,15 @@ class SolverOptions:
         PETSc.Options()[self.prefix + name] = value
         self._present[name] = value
 
-    def unused(self) -> list[str]:
-        """Options of the user that PETSc has not asked for."""
+    def warn_of_unused(self) -> None:
+        """Warn of options of the user that PETSc has not asked for."""
         self._note_used()
-        return [name for name in self.user if name not in self._used]
+        if unused := [name for name in self.user if name not in self._used]:
+            warnings.warn(
+                f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
+                "for another solver?",
+                stacklevel=5,
+            )
 
     def rest(self) -> None:
         """Take the options out of the database, as long as the solver is not in use."""
