@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,14 @@ import ufl
 from dolfinx import fem
 
 from ._types import Expr
+
+
+def warn(sentence: str) -> None:
+    """Warn at the line that called the package, however deep inside it this is; local."""
+    inside, frame, level = str(Path(__file__).parent), sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(inside):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(sentence, stacklevel=level)
 
 
 def function(u: Any, what: str) -> fem.Function:

@@ -295,8 +295,11 @@ def test_a_broken_checkpoint_gives_way_to_the_one_before(tmp_path):
             file.unlink()
         older.write_bytes(whole[older])
         newer.write_bytes(damaged)
-        with pytest.warns(UserWarning, match=rf"{newer.name} is broken \(.*the one before is"):
+        with pytest.warns(
+            UserWarning, match=rf"{newer.name} is broken \(.*the one before is"
+        ) as said:
             path = follow(shear(), tmp_path)
+        assert [warning.filename for warning in said] == [__file__]
         assert path.resumed == plain.steps[1].load
         assert np.array_equal(path.u.x.array, plain.u.x.array)
         assert older not in tmp_path.iterdir() and newer not in tmp_path.iterdir()

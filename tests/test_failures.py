@@ -140,8 +140,9 @@ def test_options_reach_petsc(options, looser):
 
 def test_options_end_with_their_solve():
     """A solve's options do not reach the next one with its prefix; misspelled ones are named."""
-    with pytest.warns(UserWarning, match="did not use the options snes_typ: are they misspelled"):
+    with pytest.warns(UserWarning, match="did not use the options snes_typ: are they") as said:
         bending(options={"snes_typ": "newtontr"})
+    assert [warning.filename for warning in said] == [bending.__code__.co_filename]
     with pytest.raises(forms.NotConverged):
         bending(options={"snes_max_it": 1}, min_step=0.09)
     path, _ = bending()

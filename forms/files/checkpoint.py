@@ -13,7 +13,6 @@ import io
 import json
 import os
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -25,6 +24,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from .. import _dolfinx
+from .._checks import warn
 from .._parallel import on_rank_zero
 from ..paths import Convergence, Step
 from .identity import NodeOrder
@@ -150,7 +150,7 @@ class Archive:
         if saved is None:
             return None
         if broken:
-            warnings.warn(f"{'; '.join(broken)}: the one before is taken.", stacklevel=3)
+            warn(f"{'; '.join(broken)}: the one before is taken.")
         x, before = self._u.x, self._u.x.array.copy()
         for n in range(count):
             owned = self._order.scatter(whole[n] if whole else None)
@@ -187,10 +187,9 @@ class Archive:
             on_rank_zero(self._comm, lambda: self._store(gathered, control))
         except OSError as error:
             if not self._warned:
-                warnings.warn(
+                warn(
                     f"no checkpoint of step {len(steps)} was written in {self.folder} ({error}): "
-                    "the last whole one is kept and the run goes on; make room for the next.",
-                    stacklevel=4,
+                    "the last whole one is kept and the run goes on; make room for the next."
                 )
             self._warned = True
         return True

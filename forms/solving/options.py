@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-import warnings
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from .. import _petsc
+from .._checks import warn
 
 _FILE = "-options_file"
 _numbers = itertools.count(1)
@@ -65,10 +65,9 @@ class SolverOptions:
         """Warn of options of the user that PETSc has not asked for."""
         self._note_used()
         if unused := [name for name in self.user if name not in self._used]:
-            warnings.warn(
+            warn(
                 f"PETSc did not use the options {', '.join(unused)}: are they misspelled, or meant "
-                "for another solver?",
-                stacklevel=5,
+                "for another solver?"
             )
 
     def rest(self) -> None:
