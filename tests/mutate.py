@@ -222,7 +222,8 @@ def main(arguments: list[str] | None = None) -> None:
     copy, cache, log = (given.folder.resolve() / name for name in ("copy", "cache", "log.jsonl"))
     if not copy.exists():
         unwanted = shutil.ignore_patterns(".git", "__pycache__", "results", ".*_cache", "*.pyc")
-        shutil.copytree(ROOT, copy, ignore=unwanted)
+        # With links as links: a second copy of forms in variform would stay without mutants.
+        shutil.copytree(ROOT, copy, symlinks=True, ignore=unwanted)
     sources = {
         str(file.relative_to(copy)): file.read_bytes()
         for folder in ("formulas", "operators", "native/kernels")
