@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Compiled code: made once, ever, and by whoever lives, whatever was killed before."""
 
+import io
 import os
 import random
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -244,17 +246,20 @@ def test_others_wait_as_long_as_the_one_that_makes_it_lives(tmp_path):
     assert {p.name for p in cache.iterdir()} == {"log", "place"}
 
 
-def test_who_waits_long_says_for_what(tmp_path, monkeypatch, capfd):
+def test_who_waits_long_says_for_what(tmp_path, monkeypatch):
     """One sentence with the lock's name, and the wait goes on."""
     monkeypatch.setattr(once, "PATIENCE", 0)
-    place, said = tmp_path / "place", ""
+    # Not pytest's capture: what is written between its read and its truncation is lost.
+    monkeypatch.setattr(sys, "stderr", written := io.StringIO())
+    place = tmp_path / "place"
     with ThreadPoolExecutor(1) as pool:
         with once._locked(tmp_path / "place.lock"):
             waiting = pool.submit(once.make_once, place, lambda folder: folder)
-            while "that compiles the same" not in said:
+            while "this one goes on." not in written.getvalue():
                 assert not waiting.done()
-                said += capfd.readouterr().err
+                time.sleep(0.01)
         waiting.result()
+    said = written.getvalue()
     assert said.count("variform: waiting for another process") == 1
     assert f"({tmp_path}/place.lock): if it hangs, end it" in said
 
