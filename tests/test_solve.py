@@ -245,6 +245,7 @@ def test_quadratic_convergence_near_the_solution():
         snes.setMonitor(lambda snes, it, norm: norms.append(norm))
     newton.predict()
     assert newton.solve().converged
+    newton.destroy()
     norms = [n for i, n in enumerate(norms) if n > 1e-13 and (i == 0 or n < norms[i - 1])]
     orders = np.log(norms[2:]) / np.log(norms[1:-1])
     assert orders[-1] > 1.7
