@@ -59,7 +59,6 @@ stretches = np.linspace(1.02, 3, 45)
 path = forms.control(potential, u, held, p, volume, start * stretches**3)
 sphere = np.array([step.load for step in path.steps])
 exact = 2 * (1 / stretches - stretches**-7.0)
-say(path.reason)
 
 # %% [markdown]
 # The disk of radius 1, clamped at its rim. Flat, it has no stiffness against the pressure at all.
@@ -77,7 +76,6 @@ path = forms.control(
 vtx.close()
 disk = np.array([step.load for step in path.steps])
 height = path.record("apex")
-say(path.reason)
 area = forms.membranes.membrane_invariants(forms.membrane_gradient(u))[2]
 forms.picture(path, folder / "balloon.png", 1 / area, "thickness over\nthat at rest")
 

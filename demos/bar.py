@@ -68,7 +68,6 @@ path = forms.follow(
     psi * ufl.dx, w, [fixed], t, virtual_work=load, record=record, on_step=vtx, step=0.2
 )
 vtx.close()
-say(path.reason)
 for step in path.steps:
     x, y, z = step.records["place"]
     say(f"{4 * step.load:6.3f} Pa: x = {x:7.4f}, y = {y:7.4f}, z = {z:7.4f} mm")

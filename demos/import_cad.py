@@ -94,7 +94,6 @@ von_mises = ufl.sqrt(1.5 * ufl.inner(deviator, deviator))
 vtx = forms.VTX(folder / "import_cad.bp", u, von_mises=von_mises)
 path = forms.follow(psi * ufl.dx + load, u, [fixed], t, step=0.25, on_step=vtx)
 vtx.close()
-say(path.reason)
 forms.picture(path, folder / "import_cad.png", von_mises, "von Mises\nstress [MPa]")
 
 # %% [markdown]

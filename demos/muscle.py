@@ -75,7 +75,7 @@ def draw(path):
     """Write the fields, and the pictures of three stages."""
     vtx(path)
     for load, name in stages.items():
-        if abs(path.load - load) < 1e-9:
+        if path.load == load:
             forms.picture(
                 path,
                 folder / f"{name}.png",
@@ -87,10 +87,9 @@ def draw(path):
 
 
 path = forms.follow(
-    psi * ufl.dx, u, [wall], t, step=0.05, max_step=0.05, record={"error": error}, on_step=draw
+    psi * ufl.dx, u, [wall], t, to=list(stages), record={"error": error}, on_step=draw
 )
 vtx.close()
-say(path.reason)
 
 # %% [markdown]
 # The arc is met to the error of the elements, and the ring holds almost no energy: compare with the

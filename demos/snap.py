@@ -88,7 +88,6 @@ path = forms.arc_length(
     on_step=vtx,
 )
 vtx.close()
-say(path.reason)
 load = np.array([step.load for step in path.steps])
 moved, negative = path.record("crown"), np.array([s.convergence.negative for s in path.steps])
 peak = load[: np.flatnonzero(np.diff(load) < 0)[0] + 1].max()

@@ -57,7 +57,6 @@ path = forms.follow(
     on_step=vtx,
 )
 vtx.close()
-say(path.reason)
 
 # %% [markdown]
 # The picture shows the von Mises stress: the shear that carries the moment.

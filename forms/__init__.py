@@ -5,8 +5,10 @@ if __name__ == "forms":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
 from . import _together, by_hand, energies, kinematics, membranes, operators, stress
+from . import validity as validity
 from .compilation import compiled
 from .condensation import plane_stress
+from .evaluation import evaluate
 from .fields import field
 from .files.checkpoint import Checkpoint
 from .files.pictures import picture
@@ -18,10 +20,19 @@ from .kinematics import (
     deformation_gradient,
     plane_stress_incompressible,
 )
-from .loads import body_force, dead_traction, follower_pressure, pressure_potential, spring
+from .loads import (
+    body_force,
+    dead_traction,
+    follower_pressure,
+    gravity,
+    point_load,
+    pressure_potential,
+    spring,
+)
 from .membranes import enclosed_volume, membrane_gradient
 from .paths import NotConverged, Path
 from .problems import Problem
+from .programs import table
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
 from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
 from .supports import (
@@ -45,6 +56,7 @@ _together.end_together()
 
 __all__ = [  # in the order a user meets them
     "load_factor",
+    "table",
     "displacement",
     "displacement_pressure",
     "unknown",
@@ -60,7 +72,10 @@ __all__ = [  # in the order a user meets them
     "energies",
     "operators",
     "stress",
+    "evaluate",
+    "gravity",
     "body_force",
+    "point_load",
     "dead_traction",
     "follower_pressure",
     "pressure_potential",

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
+from collections.abc import Callable
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_arguments, extract_constants
 
 from ._types import Expr
 
@@ -41,6 +44,11 @@ def mesh_of(body: Any) -> Any:
 
 def facets(mesh: Any, found: Any) -> np.ndarray:
     """Local facet indices after checking them against the mesh; collective."""
+    return entities(mesh, found, mesh.topology.dim - 1, "a support")
+
+
+def entities(mesh: Any, found: Any, dim: int, what: str) -> np.ndarray:
+    """Local indices of facets, or of entities of another dimension, of a mesh; collective."""
     array = np.asarray(found) if isinstance(found, list | tuple | np.ndarray) else None
     if array is None or (array.size and array.dtype.kind not in "iu"):
         raise ValueError(
@@ -48,18 +56,18 @@ def facets(mesh: Any, found: Any) -> np.ndarray:
             f"{type(found).__name__} {found if isinstance(found, str) else ''}".rstrip()
             + "."
         )
-    dim = mesh.topology.dim - 1
+    kind = "facets" if dim == mesh.topology.dim - 1 else f"entities of dimension {dim}"
     mesh.topology.create_entities(dim)
     imap = mesh.topology.index_map(dim)
     outside = int(np.sum((array < 0) | (array >= imap.size_local + imap.num_ghosts)))
     count, outside = mesh.comm.allreduce(np.array([array.size, outside]))
     if outside:
         raise ValueError(
-            f"{outside} of {count} facets are not of this unknown's mesh: take them from the body "
+            f"{outside} of {count} {kind} are not of this unknown's mesh: take them from the body "
             "that the unknown was made with."
         )
     if count == 0:
-        raise ValueError("a support needs facets, got none on any rank: is the boundary empty?")
+        raise ValueError(f"{what} needs {kind}, got none on any rank: is the boundary empty?")
     return array.astype(np.int32)
 
 
@@ -72,10 +80,72 @@ def measure(dx: Any, what: str) -> ufl.Measure:
 
 def vector(v: Any, shape: tuple[int, ...], what: str) -> Expr:
     """A vector as UFL expression: a UFL one, or a sequence of numbers or expressions."""
+    if isinstance(v, tuple | list | np.ndarray) and any(
+        isinstance(entry, tuple | list | np.ndarray) and np.ndim(entry) for entry in v
+    ):
+        raise ValueError(
+            f"{what} needs the shape {shape}, got an array of shape {np.shape(v)}: for a vector in "
+            f'each cell fill the x.array of a Function of ("DG", 0, {shape}) with them.'
+        )
     expr = ufl.as_vector(list(v)) if isinstance(v, tuple | list | np.ndarray) else ufl.as_ufl(v)
     if expr.ufl_shape != shape:
         raise ValueError(f"{what} needs the shape {shape}, got {expr.ufl_shape}.")
     return expr
+
+
+def arity(form: Any, wanted: int, need: str) -> None:
+    """Refuse a form whose summands have not all a number of test and trial functions."""
+    found = {
+        len(extract_arguments(part)) for i in form.integrals() for part in _summands(i.integrand())
+    }
+    if len(found) > 1:
+        raise ValueError(
+            f"{need}, got a sum of forms with {' and '.join(map(str, sorted(found)))} arguments: a "
+            "virtual work, as follower_pressure returns it, is passed as virtual_work=, and not "
+            "added to a potential."
+        )
+    if found - {wanted}:
+        (count,) = found
+        raise ValueError(f"{need}, got a form with {count} arguments.")
+
+
+def _summands(e: Expr) -> list[Expr]:
+    if not isinstance(e, ufl.classes.Sum):
+        return [e]
+    return [part for operand in e.ufl_operands for part in _summands(operand)]
+
+
+def same_space(expression: Expr, mesh: Any, what: str) -> None:
+    """Refuse Constants, as a load factor, of a mesh of another dimension."""
+    for c in extract_constants(expression):
+        dim = ufl.domain.extract_unique_domain(c).geometric_dimension()
+        if dim != mesh.geometry.dim:
+            raise ValueError(
+                f"{what} on a mesh in {mesh.geometry.dim} dimensions contains a Constant of a mesh "
+                f"in {dim}: make the load factor with this body, forms.load_factor(body)."
+            )
+
+
+def in_ufl(function: Callable[..., Any], name: str, *args: Any, **given: Any) -> Any:
+    """What an energy of a user's own returns for UFL expressions, or one sentence.
+
+    Raises:
+        ValueError: it looks at numbers that UFL's expressions do not have.
+    """
+    try:
+        return function(*args, **given)
+    except (TypeError, ValueError) as error:
+        text = str(error)
+        if isinstance(error, TypeError) and re.search(r"argument:|arguments:|keyword|takes", text):
+            raise ValueError(f"{name} cannot be called so: {text}.") from error
+        number = isinstance(error, TypeError | np.linalg.LinAlgError)
+        if not number and "as bool in a Python context" not in text:
+            raise
+        raise ValueError(
+            f"{name} failed on UFL scalars ({text.rstrip('.')}): write it with ufl.ln, ufl.exp, "
+            "ufl.max_value, ufl.conditional, .., not with Python's max and if, or NumPy's "
+            "functions."
+        ) from error
 
 
 def number(value: Expr) -> float | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What petsc4py has no call for, by ctypes: matrices' arrays, used options, LAPACK's addresses."""
+"""What petsc4py has no call for, by ctypes: matrices' arrays, options, lags, LAPACK's addresses."""
 
 from __future__ import annotations
 
@@ -66,6 +66,11 @@ def option_was_used(name: str) -> bool:
     used = ctypes.c_int(0)
     _call("PetscOptionsUsed", None, name.encode(), ctypes.byref(used))
     return bool(used.value)
+
+
+def lag_jacobian(snes: PETSc.SNES, lag: int) -> None:
+    """How often SNES assembles its Jacobian: 1 always, -1 never again, -2 once more; collective."""
+    _call("SNESSetLagJacobian", ctypes.c_void_p(snes.handle), lag)
 
 
 def lapack(*names: str) -> list[int]:

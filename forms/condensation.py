@@ -10,6 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from ._checks import in_ufl
 from ._types import Expr
 from .differentiation import Pointwise, contains
 from .kinematics import _dimension, _embed
@@ -93,7 +94,7 @@ def plane_stress(u: fem.Function, psi: Callable[[Expr], Expr], degree: int | Non
             "plane_stress needs the energy as a function of F, as lambda F: neo_hookean(F, 1, 2), "
             f"got {type(psi).__name__}."
         )
-    if contains(psi(_embed(u, 1)), Pointwise):
+    if contains(in_ufl(psi, "plane_stress's psi", _embed(u, 1)), Pointwise):
         raise ValueError(
             "plane_stress condenses energies in plain UFL, whose derivatives UFL knows; for one in "
             "singular values use neo_hookean or another that is written in F, or plane strain."

@@ -8,12 +8,15 @@ Equation numbers are those of document 003 (see forms/README.md).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import ufl
 
 from . import _dolfinx
 from ._checks import direction, vector
 from ._types import Expr
+from .differentiation import nodes
 
 
 def deformation_gradient(u: Expr) -> Expr:
@@ -67,6 +70,12 @@ class Revolved(ufl.classes.Label):
 def is_axisymmetric(F: Expr) -> bool:
     """Whether an expression is an F of :func:`axisymmetric` itself."""
     return isinstance(F, ufl.classes.Variable) and isinstance(F.label(), Revolved)
+
+
+def is_revolved(form: Any) -> bool:
+    """Whether a deformation gradient of :func:`axisymmetric` is anywhere in a form."""
+    labels = (n.label() for n in nodes(form) if isinstance(n, ufl.classes.Variable))
+    return any(isinstance(label, Revolved) for label in labels)
 
 
 def circumference(u: Expr) -> Expr:

@@ -9,10 +9,13 @@ put it in themselves.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.checks import is_cellwise_constant
@@ -22,6 +25,7 @@ from ._checks import measure, vector
 from ._types import Expr
 from .differentiation import nodes
 from .kinematics import Revolved, axisymmetric, circumference, deformation_gradient, is_axisymmetric
+from .points import crossings, representer
 
 
 def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:
@@ -36,6 +40,93 @@ def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:
         ValueError: b and u have different shapes.
     """
     return -ufl.inner(vector(b, u.ufl_shape, "a body force"), u) * measure(dx, "a body force")
+
+
+def gravity(
+    u: Expr,
+    density: Expr,
+    g: float = 9.81,
+    direction: Sequence[float] | None = None,
+    dx: ufl.Measure = ufl.dx,
+) -> ufl.Form:
+    """Potential of dead weight, - int density g direction . u dV.
+
+    Args:
+        u: Displacement [m].
+        density: Mass per reference volume [kg/m^3]; times :func:`forms.circumference` on a body of
+            revolution, times the thickness for a sheet. With the load factor in it weight grows.
+        g: Acceleration [m/s^2].
+        direction: Where down is, any length; by default against the last coordinate, (0, 0, -1).
+        dx: Measure of the reference body.
+
+    Raises:
+        ValueError: a direction of length 0 or of another shape than u.
+    """
+    (dim,) = u.ufl_shape
+    down = [0.0] * (dim - 1) + [-1.0] if direction is None else direction
+    length = float(np.linalg.norm(np.asarray(down, float)))
+    if np.shape(down) != (dim,) or not 0 < length < np.inf:
+        raise ValueError(
+            f"gravity needs a direction of {dim} components, not all zero; got {direction}."
+        )
+    return body_force(u, density * ufl.as_vector([g * c / length for c in down]), dx)
+
+
+def point_load(u: Expr, point: Sequence[float], force: Expr) -> ufl.Form:
+    """Potential of a dead force at one point of the body, - f . u(X), on any mesh. Collective.
+
+    The point need not be a node: u there is written as int g u dV, g a function of the one cell at
+    the point, so that the potential is a form as any other. In the plane and in space the stress
+    is singular at the point, and u there grows without bound as the mesh is refined; of beams,
+    membranes and anything far away the answer converges.
+
+    Args:
+        u: Displacement [m], or that part of ``ufl.split`` of a mixed unknown.
+        point: Reference position [m], anywhere in the body.
+        force: Force [N], constant in space, same shape as u, as ``(0, 0, -10 * t)``; on a plane
+            mesh per unit thickness, on a body of revolution that of the whole ring.
+
+    Raises:
+        ValueError: a point outside the body, or a force of another shape or one that varies.
+    """
+    mesh, k = _interpolated(u, "a point load")
+    f = _constant_force(u, force, "a point load")
+    x = _point(mesh, point, "a point load")
+    load, dx = representer(mesh, k, x[None], np.ones(1), "the point")
+    return -load * ufl.inner(f, u) * dx
+
+
+def line_load(u: Expr, a: Sequence[float], b: Sequence[float], force: Expr) -> ufl.Form:
+    """Potential of a dead force along a straight line, - int_a^b f . u ds, on any mesh. Collective.
+
+    The line need not follow edges: it is cut where it leaves a cell, and each part integrated by
+    Gauss's rule, exactly in straight cells, as :func:`point_load` at each of its points.
+
+    Args:
+        u: Displacement [m], or that part of ``ufl.split`` of a mixed unknown.
+        a: Where the line begins [m], in the reference body.
+        b: Where it ends [m].
+        force: Force per reference length [N/m], constant in space, same shape as u.
+
+    Raises:
+        ValueError: a line that leaves the body or has no length, or a force of another shape or one
+            that varies.
+    """
+    mesh, k = _interpolated(u, "a line load")
+    f = _constant_force(u, force, "a line load")
+    first, last = (_point(mesh, x, "a line load") for x in (a, b))
+    length = float(np.linalg.norm(last - first))
+    if not length > 0:
+        raise ValueError(f"a line load needs two points, got {tuple(a)} twice: use point_load.")
+    cuts = np.concatenate([[0.0], crossings(mesh, first, last), [1.0]])
+    # A function of degree k has k times the dimension along a line through a hexahedron.
+    y, w = np.polynomial.legendre.leggauss(k * mesh.topology.dim // 2 + 1)
+    parts = np.diff(cuts)
+    s = (cuts[:-1, None] + parts[:, None] * (1 + y) / 2).ravel()
+    weights = length * (parts[:, None] * w / 2).ravel()
+    x = first + s[:, None] * (last - first)
+    load, dx = representer(mesh, k, x, weights, "the line's point")
+    return -load * ufl.inner(f, u) * dx
 
 
 def dead_traction(u: Expr, t: Expr, ds: ufl.Measure) -> ufl.Form:
@@ -198,6 +289,38 @@ class _Revolution(MultiFunction):
         if isinstance(label, _Alternative):
             return label.revolved
         return self.reuse_if_untouched(o, operand, label)
+
+
+def _interpolated(u: Expr, what: str) -> tuple[Any, int]:
+    """Mesh and degree of the functions that a displacement is made of."""
+    functions = extract_coefficients(ufl.as_ufl(u))
+    if len(functions) != 1 or not isinstance(functions[0], fem.Function) or len(u.ufl_shape) != 1:
+        raise ValueError(
+            f"{what} needs the displacement, a vector of one unknown, got {type(u).__name__} of "
+            f"shape {getattr(u, 'ufl_shape', ())}."
+        )
+    V = functions[0].function_space
+    return V.mesh, max(1, V.ufl_element().embedded_superdegree)
+
+
+def _constant_force(u: Expr, force: Expr, what: str) -> Expr:
+    f = vector(force, u.ufl_shape, what)
+    if not _is_uniform(f):
+        raise ValueError(
+            f"{what} needs a force that is constant in space, got {f}: write numbers, Constants "
+            "and the load factor."
+        )
+    return f
+
+
+def _point(mesh: Any, point: Any, what: str) -> NDArray[np.float64]:
+    x = np.zeros(3)
+    if np.shape(point) != (mesh.geometry.dim,) or not np.all(np.isfinite(point)):
+        raise ValueError(
+            f"{what} needs a point of {mesh.geometry.dim} finite coordinates, got {point}."
+        )
+    x[: len(point)] = point
+    return x
 
 
 def _is_uniform(p: Expr) -> bool:

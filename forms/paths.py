@@ -6,14 +6,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from dolfinx import fem
 
+from .ledger import Balance, Ledger, rows
 from .problems import Problem
+from .validity import Bounds
 
 USUAL = {"full tangent", "|R|"}
+ELEMENTS_OWN = (
+    " Of the discrete element, perhaps: with a pressure it has instabilities of its own in "
+    "compression; see on another mesh, or with Q2, whether they stay."
+)
+SHOWN = 3  # events in a sentence
 
 REASONS = {
     3: "the energy cannot be lowered further",
@@ -22,7 +29,7 @@ REASONS = {
     -4: "the residual is not finite",
     -5: "the iterations were used up",
     -6: "the line search found no lower value",
-    -8: "a local minimum of the residual was reached",
+    -8: "the descent of |R| crept",
     -9: "the residual grew too large",
     -11: "the trust region became too small",
     -14: "the energy is not finite",  # a code later than PETSc 3.22
@@ -51,10 +58,12 @@ class Convergence:
         correction: Largest last change of a displacement component [m].
         residuals: Norm of the out-of-balance forces at the start and after each iteration [N].
         negative: Negative eigenvalues of the last tangent that was factorized, 0 where the state
-            is stable; None where it is not known (multigrid, LU, projected, damped tangents).
+            is stable; None where it is not known (LU, projected, damped tangents). With multigrid,
+            in a path, 0 where CG has seen no negative curvature.
         tried: Ways that were taken in turn, the last one to this end, as "full tangent", "|R|".
         advice: What to do where the cause is known; empty where it is not.
-        solver: Whose iterations these are, in words.
+        tangents: Tangents that were assembled.
+        contraction: Ratio of the first two corrections by one tangent, within a path; else None.
     """
 
     converged: bool
@@ -70,7 +79,8 @@ class Convergence:
     negative: int | None = None
     tried: tuple[str, ...] = ()
     advice: str = ""
-    solver: str = "SNES"
+    tangents: int = 0
+    contraction: float | None = None
 
     def sentence(self) -> str:
         """One sentence: outcome, iterations, norms."""
@@ -81,7 +91,7 @@ class Convergence:
         # There is no last correction where no iteration was made.
         last = f", last correction {self.correction:.1e}" if isfinite(self.correction) else ""
         return (
-            f"{self.solver} {verb} after {self.iterations} iterations{projected}{ways} "
+            f"SNES {verb} after {self.iterations} iterations{projected}{ways} "
             f"({self.reason}), |R| = {self.residual:.1e} at a force level of "
             f"{self.force_level:.1e}{last}"
         )
@@ -89,11 +99,43 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Step:
-    """One converged load step: the load factor, how Newton went, what was recorded."""
+    """One converged load step.
+
+    Attributes:
+        load: Load factor.
+        convergence: How Newton went.
+        records: What was recorded.
+        bounds: Bounds of the smallest volume ratio J (of a membrane's area ratio) over whole cells;
+            None for elements that have none (:func:`forms.validity.can_bound`).
+    """
 
     load: float
     convergence: Convergence
     records: dict[str, Any]
+    bounds: Bounds | None = None
+
+
+class Event(NamedTuple):
+    """What a path passed.
+
+    Attributes:
+        load: Load factor at which.
+        kind: "bifurcation", "limit point", or "jump".
+        before, after: Negative eigenvalues on either side, None where they are not known.
+        released: Energy [J] that a jump set free; None where it is not known.
+    """
+
+    load: float
+    kind: str
+    before: int | None
+    after: int | None
+    released: float | None = None
+
+    def sentence(self) -> str:
+        """The event in words."""
+        counts = f", {self.before} -> {self.after} negative eigenvalues"
+        freed = "" if self.released is None else f", {self.released:.4g} J released"
+        return f"{self.kind} at load factor {self.load:.6g}{counts}{freed}"
 
 
 @dataclass(eq=False)
@@ -110,6 +152,10 @@ class Path:
         seconds: Wall time of the path [s].
         resumed: Load of the checkpoint that the path was taken up from, if any.
         begin: Load factor that the path begins at.
+        tangents: Tangents that were assembled, those of refused steps and of events included.
+        events: Bifurcations, limit points and jumps, in order.
+        balances: Energy and powers of the states, the first one included.
+        floor: Energy [J] that tolerances leave unknown.
     """
 
     u: fem.Function
@@ -121,6 +167,15 @@ class Path:
     seconds: float = 0.0
     resumed: float | None = None
     begin: float = 0.0
+    tangents: int = 0
+    events: list[Event] = field(default_factory=list)
+    balances: list[Balance] = field(default_factory=list)
+    floor: float = 0.0
+
+    @property
+    def ledger(self) -> Ledger:
+        """Account of each step: where the work of loads and supports went."""
+        return rows(self.balances)
 
     @property
     def load(self) -> float:
@@ -128,8 +183,12 @@ class Path:
         return self.steps[-1].load if self.steps else self.begin
 
     def record(self, name: str) -> np.ndarray:
-        """A recorded quantity over the steps, shape (steps, ...)."""
-        return np.array([step.records[name] for step in self.steps])
+        """A recorded quantity over the steps, shape (steps, ...); objects where parts differ."""
+        values = [step.records[name] for step in self.steps]
+        try:
+            return np.array(values)
+        except ValueError:  # numbers beside a point, as in Bounds
+            return np.array(values, dtype=object)
 
     def __repr__(self) -> str:
         """How far it came, how, and what was recorded, in a few lines."""
@@ -144,9 +203,9 @@ class Path:
         ]
         return "\n".join(lines) + ">"
 
-    def take_up(self, steps: Sequence[Any], counts: Mapping[str, Any]) -> None:
+    def take_up(self, steps: Sequence[Step], counts: Mapping[str, Any]) -> None:
         """Take the steps of an earlier run, whose path goes on."""
-        self.steps += [Step(*step) for step in steps]
+        self.steps += steps
         self.refused, self.seconds = counts["refused"], counts["seconds"]
         self.resumed = self.load
 
@@ -156,8 +215,18 @@ class Path:
         self.reason = (
             f"{words} ({self.refused} refused), "
             f"{sum(step.convergence.iterations for step in self.steps)} iterations."
-            f"{instability(self.steps)}"
+            f"{self.verdict()}{self.ledger.sentence(self.floor)}"
         )
+
+    def verdict(self) -> str:
+        """What the certificates of the states say, in sentences."""
+        mesh = self.u.function_space.mesh
+        solid = mesh.topology.dim == mesh.geometry.dim
+        inverted = inversion(self.steps) if solid else ""
+        unstable = instability(self.steps)
+        if unstable and any(f.role.curvature in "-0" for f in self.problem.fields.values()):
+            unstable += ELEMENTS_OWN
+        return f"{passed(self.events)}{unstable}{inverted}"
 
 
 def recorded(record: Mapping[str, Callable] | None, problem: Problem) -> dict[str, Any]:
@@ -176,13 +245,48 @@ def check_record(record: Mapping[str, Any] | None) -> None:
 
 
 def instability(steps: Sequence[Any]) -> str:
-    """Where a path has become unstable, as a sentence; empty where it has not or is not known."""
-    counts = [(s.load, s.convergence.negative) for s in steps]
-    unstable = [load for load, negative in counts if negative]
-    if not unstable:
+    """Where a path is unstable, as a sentence; empty where it is nowhere or not known."""
+    counts = [(s.load, s.convergence.negative) for s in steps if s.convergence.negative is not None]
+    spans: list[list[float]] = []
+    before: int = 0
+    for load, negative in counts:
+        if negative and not before:
+            spans.append([load])
+        elif before and not negative:
+            spans[-1].append(load)
+        before = negative
+    if not spans:
         return ""
-    most = max(negative for _, negative in counts if negative)
-    word = "eigenvalue" if most == 1 else "eigenvalues"
-    if len(counts) == 1:
-        return f" Unstable: {most} negative {word}."
-    return f" Unstable from load factor {unstable[0]:.6g} on ({most} negative {word} at most)."
+    most = max(negative for _, negative in counts)
+    word = f"{most} negative {'eigenvalue' if most == 1 else 'eigenvalues'}"
+    if len(steps) == 1:
+        return f" Unstable: {word}."
+    ends = [f"to {span[1]:.6g}" if len(span) > 1 else "on" for span in spans]
+    pairs = zip(spans, ends, strict=True)
+    where = ", and ".join(f"from load factor {span[0]:.6g} {end}" for span, end in pairs)
+    return f" Unstable {where} ({word} at most)."
+
+
+def inversion(steps: Sequence[Step]) -> str:
+    """Where J > 0 everywhere is not so, as a sentence; empty where it is, or is not known."""
+    bounds = [(s.load, s.bounds) for s in steps if s.bounds is not None and not s.bounds.lower > 0]
+    if not bounds:
+        return ""
+    load, worst = min(bounds, key=lambda each: each[1].upper)
+    place = ", ".join(f"{x:.3g}" for x in worst.place)
+    if worst.upper > 0:
+        return f" J > 0 is not certain at ({place}), where it is {worst.upper:.2g} at most."
+    since = f" from load factor {bounds[0][0]:.6g} on" if len(steps) > 1 else ""
+    return (
+        f" Cells are inverted{since}: J is {worst.upper:.2g} or less at ({place}), load factor "
+        f"{load:.6g}; is the mesh fine enough there?"
+    )
+
+
+def passed(events: Sequence[Event]) -> str:
+    """What a path passed, as a sentence; empty where that is nothing."""
+    if not events:
+        return ""
+    shown = [event.sentence() for event in events[:SHOWN]]
+    more = f", and {len(events) - SHOWN} more" if len(events) > SHOWN else ""
+    return f" Passed: {'; '.join(shown)}{more}."

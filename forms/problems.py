@@ -15,7 +15,6 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
-from ufl.algorithms.analysis import extract_constants
 
 from . import _checks
 from .supports import Support
@@ -97,12 +96,8 @@ class Problem:
         """Whether the forms or the supports contain a constant."""
         if self.forms.hides_constants:
             return True
-        inside = list(self.forms.constants)
-        for support in self.supports:
-            for part in support.parts:
-                if part.expression is not None:
-                    inside += extract_constants(part.expression.ufl_expression)
-        return any(c is t for c in inside)
+        inside = any(c is t for c in self.forms.constants)
+        return inside or any(support.depends_on(t) for support in self.supports)
 
     @property
     def is_displacement(self) -> bool:
@@ -285,6 +280,8 @@ def _check_parts(potential: Any, u: fem.Function) -> None:
         raise ValueError(
             "the potential is integrated over two meshes: take measures and unknown from one body."
         )
+    for integral in potential.integrals():
+        _checks.same_space(integral.integrand(), u.function_space.mesh, "a potential")
     for c in potential.coefficients():
         if c is not u and isinstance(c, fem.Function) and np.shares_memory(c.x.array, u.x.array):
             raise ValueError(

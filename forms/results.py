@@ -11,11 +11,11 @@ from mpi4py import MPI
 import basix
 import numpy as np
 import ufl
-from dolfinx import fem, geometry
+from dolfinx import fem
 from numpy.typing import NDArray
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
-from . import _checks, _dolfinx
+from . import _checks
 from ._parallel import bounding_box
 from ._types import Expr
 from .compilation import compiled as compile_form
@@ -23,18 +23,23 @@ from .differentiation import update_dependents
 from .fields import quadrature_degrees
 from .loads import with_kinematics
 from .native import jit
+from .points import cells_at, require_inside
 from .problems import Problem
-from .unknowns import displacement_field, is_mixed
+from .supports import Support, near, nodes_at
+from .unknowns import Field, displacement_field, is_mixed
 
 Array = NDArray[np.float64]
 
 
 def resultant(
-    problem: Problem | Any, facets: NDArray[np.int32], about: Sequence[float] = (0, 0, 0)
+    problem: Problem | Any,
+    facets: Any,
+    about: Sequence[float] = (0, 0, 0),
+    dim: int | None = None,
 ) -> tuple[Array, Array]:
-    """Force and moment that a support exerts on the body through a boundary.
+    """Force and moment that supports exert on the body through a boundary, a line, at points.
 
-    force = sum_a R_a,  moment = sum_a (X_a + u_a - c) x R_a  over the boundary's nodes a
+    force = sum_a R_a,  moment = sum_a (X_a + u_a - c) x R_a  over the nodes a
 
     R is the residual without boundary conditions, so the resultants are consistent: they balance
     the loads to rounding, and converge twice as fast as integrated stresses. A node on the edge of
@@ -42,42 +47,129 @@ def resultant(
 
     Args:
         problem: Path, or its problem, at a converged state.
-        facets: Local facet indices of the boundary.
+        facets: Where: local facet indices of a boundary; or those of entities of dimension dim; or
+            a support, as :func:`forms.pin` returns it, of which the held components count; or the
+            position of a node, or of several, shape (k, 3).
         about: Point c that the moment is taken about [m].
+        dim: Dimension of the entities, 1 for the edges of a solid, its own for cells of a region,
+            whose nodes all count; by default that of facets.
 
     Returns:
         Force [N] and moment [N m], shape (3,) each, alike on all ranks. On a plane mesh the third
         force and the first two moments are 0, and both are per unit thickness.
 
     Raises:
-        ValueError: no facets on any rank, or a point of another dimension.
+        ValueError: no problem, no facets on any rank, no node at a point, or a point of another
+            dimension.
     """
-    problem = getattr(problem, "problem", problem)
-    V = problem.u.function_space
-    if np.shape(about) not in ((V.mesh.geometry.dim,), (3,)):
-        raise ValueError(f"about is a point of {V.mesh.geometry.dim} coordinates, got {about}.")
+    problem = _problem(problem, "resultant")
+    mesh = problem.u.function_space.mesh
+    gdim = mesh.geometry.dim
+    if np.shape(about) not in ((gdim,), (3,)):
+        raise ValueError(f"about is a point of {gdim} coordinates, got {about}.")
+    if dim is not None and dim not in range(mesh.topology.dim + 1):
+        raise ValueError(f"this mesh has entities of dimension 0 to {gdim}, got dim = {dim}.")
     center = np.zeros(3)
     center[: len(about)] = about
-    facets = _checks.facets(V.mesh, facets)
-    b = problem.create_vector()
-    problem.residual(b)
-    field = problem.displacement
-    if field is None:
-        raise ValueError(f"forces act on a displacement, and {problem.u.name} has none.")
-    W, numbers = field.collapsed
-    dim = W.mesh.geometry.dim
-    nodes = _owned_nodes(W, facets)
-    dofs = nodes[:, None] * dim + np.arange(dim)
-    parent = numbers[dofs]
-    R, x = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 3))
-    R[:, :dim] = b.array_r[parent]
-    b.destroy()
-    x[:] = W.tabulate_dof_coordinates()[nodes]
-    x[:, :dim] += problem.u.x.array[parent]
+    W, numbers = _displacement(problem).collapsed
+    counted = _counted(problem, W, numbers, facets, dim)
+    count = W.dofmap.index_map.size_local
+    R, x = np.zeros((count, 3)), np.zeros((count, 3))
+    parent = numbers[: count * gdim].reshape(count, gdim)
+    R[:, :gdim] = np.where(counted, _residual(problem)[parent], 0.0)
+    x[:] = W.tabulate_dof_coordinates()[:count]
+    x[:, :gdim] += problem.u.x.array[parent]
     x -= center
     local = np.concatenate([R.sum(axis=0), np.cross(x, R).sum(axis=0)])
     total = problem.comm.allreduce(local)
     return total[:3], total[3:]
+
+
+def nodal_forces(problem: Problem | Any) -> fem.Function:
+    """Residual of the displacement as a function: the force [N] at each node. Collective.
+
+    At a converged state it is what supports exert on the body, and 0, to the solve's tolerance, at
+    the other nodes; at any other state the forces that are out of balance, too. For files and
+    pictures, and to see where a solve that failed was out of balance.
+
+    Args:
+        problem: Path, or its problem; evaluated at the present state.
+
+    Returns:
+        Function of the displacement's space whose values are forces and no densities: their sum is
+        the resultant.
+    """
+    problem = _problem(problem, "nodal_forces")
+    W, numbers = _displacement(problem).collapsed
+    f = fem.Function(W, name="nodal_forces")
+    owned = W.dofmap.index_map.size_local * W.dofmap.bs
+    f.x.array[:owned] = _residual(problem)[numbers[:owned]]
+    f.x.scatter_forward()
+    return f
+
+
+def _problem(problem: Any, what: str) -> Problem:
+    found = getattr(problem, "problem", problem)
+    if not isinstance(found, Problem):
+        name = getattr(found, "name", "") if isinstance(found, fem.Function) else ""
+        raise ValueError(
+            f"{what} needs a path or a problem, whose residual it reads, got "
+            f"{' '.join([type(found).__name__, name]).rstrip()}: pass what forms.solve returned."
+        )
+    return found
+
+
+def _displacement(problem: Problem) -> Field:
+    if problem.displacement is None:
+        raise ValueError(f"forces act on a displacement, and {problem.u.name} has none.")
+    return problem.displacement
+
+
+def _residual(problem: Problem) -> Array:
+    """Owned part of the residual without boundary conditions. Collective."""
+    b = problem.create_vector()
+    problem.residual(b)
+    values = np.array(b.array_r)
+    b.destroy()
+    return values
+
+
+def _counted(
+    problem: Problem, W: fem.FunctionSpace, numbers: NDArray[np.int32], where: Any, dim: int | None
+) -> NDArray[np.bool_]:
+    """Which components of owned nodes count for a resultant, shape (nodes, components)."""
+    mesh, count, components = W.mesh, W.dofmap.index_map.size_local, W.dofmap.bs
+    if isinstance(where, Support):
+        if where.space != problem.u.function_space:
+            raise ValueError(
+                "resultant needs a support of the problem's unknown, got one of another: make it "
+                "with the unknown that was solved for."
+            )
+        held = np.concatenate([bc.dof_indices()[0] for bc in where.conditions])
+        return np.isin(numbers[: count * components], held).reshape(count, components)
+    nodes = np.zeros(count, dtype=bool)
+    if _is_position(where):
+        at = nodes_at(W, where, "resultant")
+        size = np.abs(bounding_box(mesh.comm, mesh.geometry.x)).max()
+        nodes = near(W.tabulate_dof_coordinates()[:count], at, 1e-9 * size)
+    else:
+        dim = mesh.topology.dim - 1 if dim is None else dim
+        found = _checks.entities(mesh, where, dim, "a support")
+        mesh.topology.create_connectivity(dim, mesh.topology.dim)
+        located = fem.locate_dofs_topological(W, dim, found)
+        nodes[located[located < count]] = True
+    return np.repeat(nodes[:, None], components, axis=1)
+
+
+def _is_position(where: Any) -> bool:
+    """Whether a place is given by coordinates, and not by the numbers of entities."""
+    if not isinstance(where, list | tuple | np.ndarray):
+        return False
+    try:
+        array = np.asarray(where)
+    except ValueError:
+        return False
+    return array.size > 0 and (array.dtype.kind == "f" or array.ndim == 2)
 
 
 def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Array:
@@ -104,15 +196,11 @@ def at(f: fem.Function, point: Sequence[float], tolerance: float = 1e-8) -> Arra
         raise ValueError(f"a point of this mesh has {mesh.geometry.dim} coordinates, got {point}.")
     x = np.zeros((1, 3))
     x[0, : len(point)] = point
-    cell, distance = _closest_cell(mesh, x)
-    nearest, rank = mesh.comm.allreduce((distance, mesh.comm.rank), MPI.MINLOC)
-    low, high = bounding_box(mesh.comm, mesh.geometry.x)
-    if nearest > tolerance * np.linalg.norm(high - low):
-        raise ValueError(
-            f"the point {tuple(float(c) for c in point)} lies {nearest:.3g} outside the mesh; "
-            "give reference coordinates."
-        )
-    value = f.eval(x, [cell]) if mesh.comm.rank == rank else None
+    cells, distance = cells_at(mesh, x)
+    require_inside(mesh, x, distance, tolerance, "the point")
+    here = cells[0] >= 0
+    rank = mesh.comm.allreduce(mesh.comm.rank if here else 0)
+    value = f.eval(x, cells) if here else None
     return np.atleast_1d(mesh.comm.bcast(value, root=rank))
 
 
@@ -121,6 +209,7 @@ def displacement_of(u: fem.Function) -> fem.Function:
     field = displacement_field(_checks.function(u, "displacement_of"))
     if field is None or field.place is None:
         return u
+    _ = field.collapsed  # refuses nodes that are mixed up
     f = u.sub(field.place).collapse()
     f.name = "displacement"
     return f
@@ -136,6 +225,7 @@ def integral(form: ufl.Form) -> float:
         raise ValueError(
             f"integral needs a functional, got {type(form).__name__}: integrate a density with dx."
         )
+    _checks.arity(form, 0, "integral needs a functional")
     (form,) = with_kinematics(form)
     # A component of a cross product, say, that is zero already as an expression.
     if expand_derivatives(form).empty():
@@ -160,6 +250,8 @@ def volume(F: Expr, dx: ufl.Measure) -> float:
 def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
     """Smallest J = det F over the quadrature points of all cells.
 
+    It may be smaller between them; :func:`forms.validity.volume_bounds` bounds it everywhere.
+
     Args:
         F: Deformation gradient.
         mesh: Mesh, or an object with a ``mesh``.
@@ -174,26 +266,3 @@ def smallest_volume_ratio(F: Expr, mesh: Any, degree: int = 4) -> float:
     owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     values = jit.expression(ufl.det(F), points, mesh).eval(mesh, owned)
     return float(mesh.comm.allreduce(float(np.min(values, initial=np.inf)), MPI.MIN))
-
-
-def _owned_nodes(W: fem.FunctionSpace, facets: NDArray[np.int32]) -> NDArray[np.int32]:
-    nodes = fem.locate_dofs_topological(W, W.mesh.topology.dim - 1, facets)
-    return nodes[nodes < W.dofmap.index_map.size_local]
-
-
-def _closest_cell(mesh: Any, x: Array) -> tuple[int, float]:
-    """Nearest owned cell to a point, and its distance; local."""
-    dim = mesh.topology.dim
-    owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    if not len(owned):
-        return -1, np.inf
-    tree = _dolfinx.bounding_boxes(mesh, dim, owned)
-    middles = geometry.create_midpoint_tree(mesh, dim, owned)
-    found = geometry.compute_collisions_points(tree, x)
-    inside = geometry.compute_colliding_cells(mesh, found, x).links(0)
-    if len(inside):
-        return int(inside[0]), 0.0
-    cell = geometry.compute_closest_entity(tree, middles, mesh, x)
-    # Typed as a list in DOLFINx 0.9, which takes arrays only.
-    squared = geometry.squared_distance(mesh, dim, cell, x)  # type: ignore[arg-type]
-    return int(cell[0]), float(np.sqrt(squared[0]))

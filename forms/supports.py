@@ -16,7 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
-from ufl.algorithms.analysis import extract_type
+from ufl.algorithms.analysis import extract_constants, extract_type
 
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
@@ -59,6 +59,11 @@ class Support:
         """Evaluate the prescribed displacement at the present load factor; collective."""
         for part in self.parts:
             part.update()
+
+    def depends_on(self, t: fem.Constant) -> bool:
+        """Whether the prescribed values contain a constant."""
+        written = [p.expression.ufl_expression for p in self.parts if p.expression is not None]
+        return any(c is t for expression in written for c in extract_constants(expression))
 
 
 def clamp(u: fem.Function, facets: Facets) -> Support:
@@ -108,7 +113,7 @@ def rotate(
     w, field = _moved(u)
     dim, mesh = field.components, w.function_space.mesh
     if _checks.number(angle) is None:
-        _check_value(angle)
+        _check_value(angle, mesh)
     k = np.asarray(axis, float)
     if k.shape != (3,) or not np.linalg.norm(k) > 0:
         raise ValueError(f"rotate needs an axis of three components, not all zero; got {axis}.")
@@ -152,7 +157,7 @@ def prescribe(u: Any, facets: Facets, values: Sequence[Expr | None] | Expr) -> S
         raise ValueError(f"a support needs {dim} values, one per component, got {values}.")
     for value in values:
         if value is not None and _checks.number(value) is None:
-            _check_value(value)
+            _check_value(value, V.mesh)
     if all(value is None for value in values):
         raise ValueError("a support needs at least one value that is not None.")
     facets = _checks.facets(V.mesh, facets)
@@ -164,45 +169,37 @@ def prescribe(u: Any, facets: Facets, values: Sequence[Expr | None] | Expr) -> S
     )
 
 
-def pin(u: fem.Function, point: Sequence[float], axes: Sequence[int] | None = None) -> Support:
-    """No displacement of one node. Collective.
+def pin(
+    u: fem.Function,
+    point: Sequence[float] | Sequence[Sequence[float]],
+    axes: Sequence[int] | None = None,
+) -> Support:
+    """No displacement of one node, or of several. Collective.
 
     Takes rigid motions from a body that nothing else holds, or lets a face turn about a point. In
     the plane and in space a single node carries no force without a peak of stress about it.
 
     Args:
         u: Displacement unknown, or a mixed one whose first part it is.
-        point: Reference position of a node [m].
+        point: Reference position of a node [m], or of several, shape (k, 3).
         axes: Components that are held, as (0, 2); by default all.
 
     Raises:
-        ValueError: no node at the point, or axes that the body does not have.
+        ValueError: no node at a point, or axes that the body does not have.
     """
     w, field = _moved(u)
     dim, V = field.components, w.function_space
-    x = np.zeros(3)
-    if np.shape(point) not in ((dim,), (3,)) or not np.all(np.isfinite(point)):
-        raise ValueError(f"pin needs a point of {dim} finite coordinates, got {point}.")
-    x[: len(point)] = point
     axes = range(dim) if axes is None else axes
     if not len(axes) or any(axis not in range(dim) for axis in axes):
         raise ValueError(f"pin needs axes between 0 and {dim - 1}, got {list(axes)}.")
     view = field.view
-    spaces = [view.sub(axis).collapse()[0] for axis in axes]
-    nodes = spaces[0].tabulate_dof_coordinates()
-    off = np.linalg.norm(nodes - x, axis=1)
-    own = int(off.argmin()) if off.size else 0
-    nearest = min(V.mesh.comm.allgather((float(off[own]), *nodes[own]) if off.size else (np.inf,)))
-    low, high = bounding_box(V.mesh.comm, V.mesh.geometry.x)
-    if not nearest[0] <= 1e-6 * np.linalg.norm(high - low):
-        raise ValueError(
-            f"pin needs a point where the unknown has a node, got {np.asarray(point).tolist()}; "
-            f"the nearest node is at {np.round(nearest[1:], 6).tolist()}."
-        )
-    parts, at = [], np.array(nearest[1:])[:, None]
+    spaces = [_dolfinx.collapse(view.sub(axis))[0] for axis in axes]
+    at = nodes_at(spaces[0], point, "pin")
+    high = bounding_box(V.mesh.comm, V.mesh.geometry.x)[1]
+    parts = []
     for axis, W in zip(axes, spaces, strict=True):
         dofs = fem.locate_dofs_geometrical(
-            (view.sub(axis), W), lambda x: np.linalg.norm(x - at, axis=0) <= 1e-9 * abs(high).max()
+            (view.sub(axis), W), lambda x: near(x.T, at, 1e-9 * abs(high).max())
         )
         g = fem.Function(W, name="pinned")
         bc = fem.dirichletbc(g, dofs, view.sub(axis))
@@ -210,12 +207,62 @@ def pin(u: fem.Function, point: Sequence[float], axes: Sequence[int] | None = No
     return Support(V, tuple(parts))
 
 
-def _check_value(value: Expr) -> None:
+def nodes_at(W: fem.FunctionSpace, point: Any, what: str) -> NDArray[np.float64]:
+    """Positions of the nodes at given points, shape (k, 3), alike on all ranks. Collective.
+
+    Args:
+        W: Space whose nodes they are.
+        point: One point, or several, of as many coordinates as the mesh has.
+        what: Who asks, for messages.
+
+    Raises:
+        ValueError: a point that is none, or at which there is no node.
+    """
+    mesh, dim = W.mesh, W.mesh.geometry.dim
+    points: Any = np.atleast_2d(_coordinates(point))
+    if points.shape[-1] not in (dim, 3) or points.ndim != 2 or not np.all(np.isfinite(points)):
+        raise ValueError(f"{what} needs a point of {dim} finite coordinates, got {point}.")
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    nodes = W.tabulate_dof_coordinates()
+    own = np.full((len(points), 4), np.inf)
+    for k, x in enumerate(points):
+        if len(nodes):
+            off = np.linalg.norm(nodes - x, axis=1)
+            own[k] = off.min(), *nodes[off.argmin()]
+    every = np.array(mesh.comm.allgather(own))
+    low, high = bounding_box(mesh.comm, mesh.geometry.x)
+    found = np.array([min(every[:, k].tolist()) for k in range(len(points))])
+    for x, distance, node in zip(points, found[:, 0], found[:, 1:], strict=True):
+        if not distance <= 1e-6 * np.linalg.norm(high - low):
+            raise ValueError(
+                f"{what} needs a point where the unknown has a node, got {x[:dim].tolist()}; "
+                f"the nearest node is at {np.round(node, 6).tolist()}."
+            )
+    return found[:, 1:]
+
+
+def near(x: NDArray[np.float64], points: NDArray[np.float64], distance: float) -> NDArray[np.bool_]:
+    """Which of the positions x, shape (n, 3), are at one of some points; local."""
+    found = np.zeros(len(x), dtype=bool)
+    for point in points:
+        found |= np.linalg.norm(x - point, axis=1) <= distance
+    return found
+
+
+def _coordinates(point: Any) -> NDArray[np.float64]:
+    try:
+        return np.asarray(point, dtype=float)
+    except (TypeError, ValueError):
+        return np.array([np.nan])
+
+
+def _check_value(value: Expr, mesh: Any) -> None:
     if not isinstance(value, ufl.core.expr.Expr) or value.ufl_shape != ():
         raise ValueError(
             "a prescribed component is a number, a scalar UFL expression of the reference point "
             f"and the load factor, or None, got {type(value).__name__}."
         )
+    _checks.same_space(value, mesh, "a support")
     if extract_type(value, ufl.classes.FacetNormal):
         raise ValueError(
             "a prescribed component is evaluated at nodes, where there is no facet normal: write "
@@ -226,7 +273,7 @@ def _check_value(value: Expr) -> None:
 def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescribed:
     """Boundary condition on a space, or on a view of one, with its value's own space."""
     whole = len(view.component()) == 0
-    W = view if whole else view.collapse()[0]
+    W = view if whole else _dolfinx.collapse(view)[0]
     fdim = W.mesh.topology.dim - 1
     dofs = fem.locate_dofs_topological(view if whole else (view, W), fdim, facets)
     g = fem.Function(W, name="prescribed")

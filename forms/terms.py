@@ -18,7 +18,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
-from . import _dolfinx, insertion
+from . import _checks, _dolfinx, insertion
 from .compilation import compiled
 from .differentiation import Dependent, dependents, expanded
 from .loads import with_kinematics
@@ -81,6 +81,7 @@ class FormTerm:
         tangent_form: Compiled tangent.
         residual_ufl, tangent_ufl: Residual and tangent in UFL.
         potential: Total potential, or residual, that all of it was derived from.
+        virtual_work: What was added to the residual, in UFL; None for nothing.
         constants: Constants in the forms.
     """
 
@@ -92,6 +93,12 @@ class FormTerm:
         virtual_work: ufl.Form | None,
         conditions: list[fem.DirichletBC],
     ) -> None:
+        need = "a potential must be a functional of u, or a residual in one test function"
+        if isinstance(potential, ufl.Form):
+            _checks.arity(potential, len(potential.arguments()), need)
+        if isinstance(virtual_work, ufl.Form) and virtual_work.arguments():
+            need = "virtual_work must be a form linear in one test function"
+            _checks.arity(virtual_work, len(virtual_work.arguments()), need)
         potential, virtual_work = with_kinematics(potential, virtual_work)
         self.potential = potential = with_quadrature(potential, degree)
         is_energy = isinstance(potential, ufl.Form) and not potential.arguments()
@@ -105,6 +112,8 @@ class FormTerm:
                     f"{count}; add a load's potential to the potential instead."
                 )
             R = with_quadrature(R + virtual_work, degree)
+            virtual_work = with_quadrature(virtual_work, degree)
+        self.virtual_work = virtual_work
         self.residual_ufl, self.tangent_ufl = R, (K := tangent(R, u))
         parts = [expanded(potential), R]
         parts += [c.jets.packed for part in parts for c in dependents(part) if isinstance(c, Jet)]

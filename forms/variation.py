@@ -12,6 +12,7 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from ._checks import arity as check_arity
 from ._types import Expr
 from .differentiation import rate
 from .loads import with_kinematics
@@ -75,8 +76,7 @@ def tangent(R: ufl.Form, u: fem.Function) -> ufl.Form:
 def _check(form: ufl.Form, u: fem.Function, arity: int, need: str) -> None:
     if not isinstance(form, ufl.Form):
         raise ValueError(f"{need}, got {type(form).__name__}; integrate a density with ufl.dx.")
-    if len(form.arguments()) != arity:
-        raise ValueError(f"{need}, got a form with {len(form.arguments())} arguments.")
+    check_arity(form, arity, need)
     if u not in form.coefficients():
         raise ValueError(
             f"{need}, got a form that does not contain {u}: was it written with another Function?"

@@ -151,8 +151,8 @@ def merge(path: str) -> None:
     """
     try:
         gmsh.merge(path)
-    except Exception:
-        # gmsh's parser keeps the unread rest of a script with an error, and would take it for the
+    except Exception:  # gmsh knows no narrower one; raised again below
+        # The parser keeps the unread rest of a script with an error, and would take it for the
         # start of the next one: let it swallow harmless ones until it has done with the rest.
         with TemporaryDirectory() as folder:
             harmless = Path(folder, "harmless.geo")
@@ -161,6 +161,6 @@ def merge(path: str) -> None:
                 try:
                     gmsh.merge(str(harmless))
                     break
-                except Exception:
+                except Exception:  # the rest of the script, still being swallowed
                     continue
         raise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fixtures: MPI runs started from pytest, folders, a seeded generator."""
+"""Fixtures: MPI runs started from pytest, folders, a seeded generator, gmsh, point kernels."""
 
 import json
 import os
@@ -15,7 +15,8 @@ import recorder
 ROOT = Path(__file__).resolve().parent.parent
 # Files that take longest.
 LONGEST = ["operators", "variation", "demos", "benchmarks", "parallel", "multigrid", "sheets"]
-LONGEST += ["checkpoint", "insertion", "solve", "paths", "pages", "projection", "membranes"]
+LONGEST += ["checkpoint_ranks", "insertion", "solve", "paths", "pages", "projection", "membranes"]
+LONGEST += ["native"]
 LIMIT = 900  # s, against hangs only: a slow machine compiles everything first
 
 
@@ -92,7 +93,8 @@ def run():
         words = [sys.executable, *map(str, command)]
         if ranks > 1:
             words = ["mpirun", "-n", str(ranks), *words]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        # tests/ for scenes.py, which scripts import.
+        environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
         process = subprocess.Popen(
             words,
             cwd=cwd,
@@ -116,16 +118,38 @@ def run():
     return start
 
 
+def printed(process):
+    """The JSON that a finished process, or its rank 0, printed last."""
+    return json.loads(process.stdout.strip().splitlines()[-1])
+
+
 def scripts(run, folder):
     """Run scripts on several ranks in a folder and read the JSON that rank 0 prints last."""
 
     def start(script, ranks, *arguments):
         file = folder / "script.py"
         file.write_text(script)
-        done = run(file, *arguments, ranks=ranks, cwd=folder)
-        return json.loads(done.stdout.strip().splitlines()[-1])
+        return printed(run(file, *arguments, ranks=ranks, cwd=folder))
 
     return start
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    from kernels import Kernels
+
+    return Kernels()
+
+
+@pytest.fixture
+def session():
+    """A gmsh session of the test's own, in which the files to be read are made."""
+    import gmsh
+
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    yield
+    gmsh.finalize()
 
 
 @pytest.fixture

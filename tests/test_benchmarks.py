@@ -8,10 +8,11 @@ import dolfinx
 import numpy as np
 import pytest
 
-from demos.benchmarks import cluster
+from demos.benchmarks import cluster, fidelity, hard_cases, hard_scenes, small_steps
 from demos.benchmarks.peers.points import right_values, states
 from demos.benchmarks.peers.problem import block, quadratic, turned
 from demos.benchmarks.peers.ways import closed_form
+from variform import forms
 
 
 def test_benchmark_of_operators_runs(run, tmp_path):
@@ -23,7 +24,10 @@ def test_benchmark_of_operators_runs(run, tmp_path):
 
 
 def test_benchmark_of_hard_cases_runs(run, tmp_path):
-    """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach."""
+    """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach.
+
+    Those that are load paths end where small steps do, with the energy that is known.
+    """
     done = run("-m", "demos.benchmarks.hard_cases", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     solved = {
@@ -32,8 +36,80 @@ def test_benchmark_of_hard_cases_runs(run, tmp_path):
     }
     assert len(rows) == 10 and len(solved["variform"]) == 5
     assert solved["DOLFINx"] == ["confined", "pressure"]
-    assert all(row["tangents"] >= row["iterations"] for row in rows)
+    assert all(row["tangents"] > 0 for row in rows)
+    paths = [row for row in rows if row["case"] != "scrambled" and row["solved"]]
+    assert all("energy" in row["numbers"] for row in paths)
     assert (tmp_path / "results" / "hard_cases.csv").stat().st_size > 1000
+
+
+def test_benchmark_of_fidelity_runs(run, tmp_path):
+    """Four cheap paths end where small steps do, one of them at a limit point before the end."""
+    done = run("-m", "demos.benchmarks.fidelity", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    ours = [row for row in rows if row["solver"] == "variform"]
+    assert len(rows) == 12 and {row["verdict"] for row in ours} == {"right"}
+    ends = {row["scene"]: row["part"] for row in ours if row["part"] < 1}
+    # 1.2394 of 1.3 from 0.2 on, the limit pressure of a sphere, and that of its mesh.
+    assert list(ends) == ["ball, blow 1300, sheet, P2 0.25"]
+    assert list(ends.values()) == pytest.approx([(1.2394 - 0.2) / 1.1], abs=0.005)
+    assert all(row["off"] < 1e-6 for row in ours if row["part"] == 1)
+    assert all(row["unaccounted"] < 0.03 for row in ours)
+    assert (tmp_path / "results" / "fidelity.csv").stat().st_size > 1000
+
+
+def test_fidelity_tells_wrong_from_right():
+    """Small steps find what is kept; a state mirrored or short of the end is not taken for it."""
+    (name,) = fidelity.chosen(["strip, tip 2,"])
+    kept, scene = json.loads(fidelity.FILE.read_text())[name], fidelity.build(name)
+    run = small_steps.walk(scene, 20)
+    assert fidelity.verdict(scene, kept, run.load) == ("right", pytest.approx(0, abs=1e-8))
+    assert scene.problem.energy() == pytest.approx(kept["energy"], rel=1e-8)
+    # The trapezoidal rule's error falls with the square of the steps.
+    assert kept["missed"][0] / kept["missed"][1] == pytest.approx(4, abs=0.3)
+    scene.u.x.array[1::2] *= -1  # bent the other way, as long and with as much energy stored
+    assert fidelity.verdict(scene, kept, run.load)[0] == "wrong"
+    assert fidelity.verdict(scene, kept, run.load, noted=["a bifurcation"])[0] == "noted"
+    assert fidelity.verdict(scene, kept, 0.99)[0] == "stopped"
+    stops = {**kept, "reached": False, "load": 0.98}
+    assert fidelity.verdict(scene, stops, 0.99)[0] == "right"
+    assert fidelity.verdict(scene, stops, 0.95)[0] == "stopped"
+    assert fidelity.verdict(scene, stops, 1.0)[0] == "wrong"
+
+
+def test_fidelity_has_references():
+    """Forty scenes and more, each with a reference, nine tenths of them beyond doubt."""
+    kept = json.loads(fidelity.FILE.read_text())
+    assert list(kept) == list(fidelity.NAMES) and len(kept) >= 40
+    certain = [each for each in kept.values() if not each["doubts"]]
+    assert len(certain) >= 0.9 * len(kept)
+
+
+def test_hard_cases_refuse_another_branch():
+    """A wrong energy, an event that is not the path's, and inverted cells are found."""
+    case = hard_scenes.CASES["pressure"]()
+    case.begin(None)
+    path = case.call()
+    assert hard_cases.faults(case, path)[0] == []
+    case.end = case.end._replace(energy=1.01 * case.end.energy)
+    wrong, _ = hard_cases.faults(case, path)
+    assert len(wrong) == 1 and wrong[0].startswith("energy 0.9430312 for 0.95246")
+    path.events.append(forms.paths.Event(0.5, "bifurcation", 0, 1))
+    assert hard_cases.faults(case, path)[0][1] == "passed [('bifurcation', 0.5)] for []"
+    case.u.x.array[:] = 0
+    case.u.sub(0).interpolate(lambda x: -2 * x[0])
+    assert any(word.startswith("J = -1") for word in hard_cases.faults(case, None)[0])
+
+
+def test_ends_of_hard_cases_are_found_again(run, tmp_path):
+    """Small steps, none refused and all work accounted for, lead to the numbers in the cases."""
+    names = ("confined", "balloon")
+    done = run("-m", "demos.benchmarks.hard_cases", "--ends", *names, cwd=tmp_path)
+    for line in map(json.loads, done.stdout.splitlines()):
+        end = hard_scenes.CASES[line["case"]]().end
+        assert line["energy"] == pytest.approx(end.energy, rel=1e-7)
+        assert line["negative"] == end.negative
+        assert [kind for kind, _ in line["events"]] == [kind for kind, *_ in end.events]
+        assert line["steps"] == 200 and line["refused"] == 0 and line["unaccounted"] < 1e-6
 
 
 def test_benchmark_of_multigrid_runs(run, tmp_path):
@@ -180,6 +256,18 @@ def test_benchmark_of_scaling_runs(run, tmp_path):
     assert 1 <= two["imbalance"] < 1.1
     assert all(row["step, efficiency"] > 0 for row in rows if row["what"] != "mesh")
     assert (tmp_path / "results" / "scaling.png").stat().st_size > 10_000
+
+
+def test_benchmark_of_validity_runs(run, tmp_path):
+    """No bound above a J, none too wide; only surfaces, which may collapse, stay open."""
+    done = run("-m", "demos.benchmarks.validity", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    swept, timed = rows[:36], rows[36:]
+    assert all(row["above"] == row["wide"] == 0 for row in swept)
+    assert {row["kind"] for row in swept if row["open"]} <= {"surface"}
+    assert [row["element"] for row in timed] == ["P1", "P2", "P3", "Q1", "Q2", "Q3"]
+    assert all(0 < row["lower"] <= row["upper"] < 1 for row in timed)
+    assert (tmp_path / "results" / "validity.csv").stat().st_size > 1000
 
 
 def test_estimate_follows_its_formula():

@@ -153,7 +153,8 @@ def test_an_energy_remembers_so_many_texts_only():
     k = 1.0
     energy = energies.principal(lambda a, b: k * ((a - 1) ** 2 + (b - 1) ** 2))
     kept = [k * 1.0 for k in range(1, operators.TEXTS + 5)]
-    for k in kept:  # noqa: B007
+    for weight in kept:
+        k = weight  # the one that psi_hat sees
         energy._numeric({})
     assert len(energy._functions) == operators.TEXTS
     mapped = energy.mapped(lambda psi_hat: psi_hat, "mapped")

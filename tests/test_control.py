@@ -10,6 +10,9 @@ from cases import rates
 from dolfinx import fem
 
 from variform import forms, meshes
+from variform.forms.solving.border import Border
+from variform.forms.solving.controls.target import Held
+from variform.forms.solving.corrector import Corrector
 
 
 def sphere(h, degree, comm=MPI.COMM_SELF):
@@ -145,3 +148,30 @@ def test_bad_input_gets_one_sentence(change, message):
     with pytest.raises(ValueError, match=message):
         aims = change.get("targets", [1.0])
         forms.control(potential, u, held, q, functional, aims, progress=False)
+
+
+def test_two_scalars_hold_two_averages():
+    """A block with two load factors, in one bordered system: quadratic, and both means are met."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=(3, 3))
+    u = forms.displacement(body, 2)
+    p, q = forms.load_factor(body), forms.load_factor(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    loads = forms.dead_traction(u, (p, 0 * p), body.ds("right"))
+    loads += forms.dead_traction(u, (0 * q, q), body.ds("top"))
+    problem = forms.Problem(psi + loads, u, [forms.clamp(u, body.facets("left"))])
+    newton = forms.solving.Newton(problem)
+    border = Border(problem, [p, q], newton.tangent)
+    means = [u[0] * body.ds("right"), u[1] * body.ds("top")]
+    held = [Held(border, mean) for mean in means]
+    border.constraints = held
+    held[0].aim, held[1].aim = 0.2, 0.1
+    corrector = Corrector(newton, border)
+    outcome = corrector.solve(free=True)
+    assert outcome.converged and outcome.iterations <= 7
+    assert [forms.integral(mean) for mean in means] == pytest.approx([0.2, 0.1], rel=1e-9)
+    moved, found = u.x.array.copy(), (float(p.value), float(q.value))
+    corrector.destroy()
+    newton.destroy()
+    u.x.array[:] = 0
+    forms.solve(psi + loads, u, problem.supports)
+    assert np.abs(u.x.array - moved).max() < 1e-8 and min(map(abs, found)) > 0.05

@@ -40,6 +40,8 @@ def printed_blocks(result, d):
     return single, split
 
 
+@pytest.mark.capability(13)
+@pytest.mark.digits("symbolic")
 @both
 def test_derivation_gives_the_printed_blocks(d):
     """dPdF, permuted, is diag(A, B12, B13, B23) with unspecified t_i, in both forms of B_ij."""
@@ -50,6 +52,8 @@ def test_derivation_gives_the_printed_blocks(d):
         assert (found - wanted).applyfunc(sp.simplify) == sp.zeros(d * d)
 
 
+@pytest.mark.capability(14)
+@pytest.mark.digits("symbolic")
 @both
 def test_steps_of_the_derivation(d):
     """dS/dF inverts dF/dS, the chain rule holds, and det dF/dS has the roots s_i^2 = s_j^2."""
@@ -62,6 +66,7 @@ def test_steps_of_the_derivation(d):
     assert sp.expand(result.dFdS.det() + roots) == 0
 
 
+@pytest.mark.capability(13)
 @both
 def test_parametrized_tensors(d, rng):
     """F(S) and P(S) at numbers are U Sigma V^T and U P^ V^T; the limits are their derivatives."""
@@ -87,6 +92,7 @@ def test_parametrized_tensors(d, rng):
         assert np.abs(slope.ravel() - limit).max() < 1e-11
 
 
+@pytest.mark.capability(15)
 @both
 @every_energy
 def test_generated_code(name, d, rng):
@@ -102,6 +108,7 @@ def test_generated_code(name, d, rng):
     )
 
 
+@pytest.mark.capability(15)
 @both
 def test_generated_c_code(d, rng, tmp_path):
     """The C function, compiled, returns the same numbers."""
@@ -116,6 +123,7 @@ def test_generated_c_code(d, rng, tmp_path):
     agree(out, de.tangent_matrix(s, p, h), 14)
 
 
+@pytest.mark.capability(3)
 @both
 def test_energy_of_an_expression(d, rng):
     """A SymPy psi(s) becomes an energy: the Hencky one as the closed form has it."""
@@ -150,6 +158,8 @@ def reference(name, s, i, j, sign):
 GAPS = [*10.0 ** np.arange(-16, 0), 0.2, 0.25, 0.3, 0.35, 0.5, 1.0, 0.0]
 
 
+@pytest.mark.capability(20)
+@pytest.mark.digits(13)
 @every_energy
 def test_difference_quotient(name, rng):
     """Right to 13 digits at any gap, 0 included, where it is psi_ii - psi_ij; either order."""
@@ -165,6 +175,7 @@ def test_difference_quotient(name, rng):
     assert qu.difference_quotient(energy, s, 0, 2) == pytest.approx(H[0, 0] - H[0, 2], rel=1e-14)
 
 
+@pytest.mark.capability(20)
 def test_polynomials_take_the_mean_everywhere():
     """A collapsed pair (1.5 m, m) loses digits in the fraction, none in the mean."""
     energy = ENERGIES["fixed_corotated"]
@@ -176,6 +187,8 @@ def test_polynomials_take_the_mean_everywhere():
     assert abs(qu.difference_quotient(energy, s, 1, 2) - wanted) > 1e-9
 
 
+@pytest.mark.capability(21)
+@pytest.mark.digits(13)
 @pytest.mark.parametrize("name", [*SMOOTH, "neo_hookean"])
 def test_sum_quotient_of_smooth_energies(name, rng):
     """Right to 13 digits at any s_i + s_j, 0 included, where it is psi_ii + psi_ij."""
@@ -193,6 +206,8 @@ def test_sum_quotient_of_smooth_energies(name, rng):
     assert found == pytest.approx(H[1, 1] + H[1, 2], rel=1e-14)
 
 
+@pytest.mark.capability(21, 23)
+@pytest.mark.digits(14)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_two_stretches_of_zero(name):
     """s_i = s_j = 0: both quotients of a smooth energy have their limits."""
@@ -202,6 +217,7 @@ def test_two_stretches_of_zero(name):
     assert abs(qu.sum_quotient(energy, s, 1, 2, smooth=True) - (H[1, 1] + H[1, 2])) < 1e-14
 
 
+@pytest.mark.capability(22)
 def test_clamped_sum_quotient():
     """Exact down to 1e-6; below it 0.5 and 0.9 lost, and of a smooth energy all that there is."""
     pole = ENERGIES["arap"]
@@ -219,6 +235,8 @@ def test_clamped_sum_quotient():
     agree(smooth, reference("saint_venant_kirchhoff", s, 1, 2, -1), 13)
 
 
+@pytest.mark.capability(22)
+@pytest.mark.digits("exact")
 def test_clamp():
     """The magnitude is raised to the bound, the sign kept, that of 0 is +."""
     x = np.array([2.0, 1e-6, 3e-7, 0.0, -0.0, -3e-7, -5.0])
@@ -226,6 +244,7 @@ def test_clamp():
     assert qu.clamp(x, 3.0).tolist() == [3, 3, 3, 3, 3, -3, -5]
 
 
+@pytest.mark.capability(17, 18, 19)
 @every_energy
 def test_both_forms_of_a_block(name):
     """B_ij as printed is the split form, at every state with distinct s_i^2; B_ij = B_ji."""
@@ -243,12 +262,15 @@ def test_both_forms_of_a_block(name):
             agree(np.linalg.eigh(B[p])[0], sorted(q), 13)
 
 
+@pytest.mark.capability(19)
+@pytest.mark.digits("exact")
 def test_split_of_arrays():
     """[[1, 1], [1, 1]]/2 times the one, [[1, -1], [-1, 1]]/2 times the other quotient."""
     found = sd.block_split(np.array([2.0, 0.0]), np.array([0.0, 6.0]))
     assert found.tolist() == [[[1, 1], [1, 1]], [[3, -3], [-3, 3]]]
 
 
+@pytest.mark.capability(20)
 @pytest.mark.parametrize("name", ["fixed_corotated", "saint_venant_kirchhoff", "hencky"])
 def test_tangent_at_equal_stretches_does_not_depend_on_the_svd(name, rng):
     """F = 1.2 I, U = V any rotation: one tangent with the limits, not if clamped."""

@@ -105,6 +105,7 @@ def exact_rates(F, F_dot, U, V):
 # Decomposition and invariants
 
 
+@pytest.mark.capability(24)
 @every_state
 def test_svd(state):
     """F = U Sigma V^T, U in O(3) with the normal last, V in O(2), falling stretches."""
@@ -118,6 +119,7 @@ def test_svd(state):
     assert [x.shape for x in mi.svd(np.stack([[F, F, F]]))] == [(1, 3, *x.shape) for x in (U, s, V)]
 
 
+@pytest.mark.capability(25)
 @every_state
 def test_invariants(state):
     """I1, I2, I3 from the stretches and from F alone are those of 60 digits."""
@@ -133,6 +135,7 @@ def test_invariants(state):
 # 1. Rates
 
 
+@pytest.mark.capability(27)
 @distinct
 def test_rates_of_the_decomposition(state, rng):
     """(1)-(3): rates of U, s, V are those of 50 digits; sum and matrix (2) return F_dot."""
@@ -153,6 +156,7 @@ def test_rates_of_the_decomposition(state, rng):
     agree(turn[:, 1, 0], found.alpha, 13)
 
 
+@pytest.mark.capability(27)
 def test_sum_of_the_rates():
     """(3): wz + alpha = (c - b)/(s_1 + s_2), at s_1 = s_2 too, where the rates do not exist."""
     s, b, c = np.array([1.3, 0.8]), np.array([0.3, -0.4]), np.array([0.7, 0.2])
@@ -163,6 +167,7 @@ def test_sum_of_the_rates():
     agree(s[0] * wz + s[1] * alpha, c, 14)
 
 
+@pytest.mark.capability(28)
 @every_state
 def test_normal_velocity(state, rng):
     """1.1: n_dot is that of f1 x f2 / |f1 x f2|; the spin has no part along n; any signs of U."""
@@ -184,6 +189,7 @@ def test_normal_velocity(state, rng):
 # 2, 3. Derivatives of the invariants
 
 
+@pytest.mark.capability(29, 30)
 @every_state
 def test_gradients_and_hessians_of_the_invariants(state, rng):
     """dI/dF and d2I/dF2 are those of 60 digits; products, 6x6 matrices and eigenpairs agree."""
@@ -201,6 +207,7 @@ def test_gradients_and_hessians_of_the_invariants(state, rng):
         agree(products[:, k].reshape(2, 6), F_dot.reshape(2, 6) @ K, 12)
 
 
+@pytest.mark.capability(31)
 @every_state
 def test_eigenpairs_of_the_invariants(state):
     """Each of the six orthonormal matrices is multiplied by its eigenvalue; I1 has three zeros."""
@@ -215,6 +222,7 @@ def test_eigenpairs_of_the_invariants(state):
     agree(values[1:], [[2] * 6, [1, -1, 1, -1, b / a, a / b]], 13)
 
 
+@pytest.mark.capability(32)
 def test_eigenmatrices_are_padded_from_2d(rng):
     """The four of 2D, padded with a row of zeros, are eigenmatrices with the same eigenvalues."""
     F = np.array([[1.2, 0.3], [-0.1, 0.8]])
@@ -230,6 +238,7 @@ def test_eigenmatrices_are_padded_from_2d(rng):
             assert np.abs(K @ Q[p].ravel() - wanted).max() < 1e-13
 
 
+@pytest.mark.capability(33)
 @every_state
 def test_any_energy_by_the_chain_rule(state):
     """Gradient and Hessian of psi = I1^2 I3 + sin I2 + I1 I2."""
@@ -246,6 +255,7 @@ def test_any_energy_by_the_chain_rule(state):
 # 4. The sheet
 
 
+@pytest.mark.capability(34, 35)
 @every_state
 def test_sheet_is_the_solid_with_unit_volume(state):
     """The 3x3 gradient has J = 1 and the columns of F; psi_IncNeo of it is psi_sheet."""
@@ -260,6 +270,7 @@ def test_sheet_is_the_solid_with_unit_volume(state):
     agree(me.incompressible(G, mu), mu / 2 * (np.sum(G**2, (1, 2)) - 3), 14)
 
 
+@pytest.mark.capability(35, 36, 37)
 @every_state
 def test_derivatives_and_eigensystem_of_the_sheet(state):
     """Gradient, both lines of the Hessian and its six eigenpairs are those of 60 digits.
@@ -283,6 +294,7 @@ def test_derivatives_and_eigensystem_of_the_sheet(state):
     assert (values.min() > 0) == (state in ("nearly equal", "stretched"))
 
 
+@pytest.mark.capability(38)
 @every_state
 def test_reduced_hessian(state):
     """On D1, D2 the Hessian is the printed 2x2 matrix, with beta, gamma and v_1, v_2."""
@@ -304,6 +316,8 @@ def test_reduced_hessian(state):
         assert np.abs(reduced @ v - value * v).max() < 1e-11 * np.abs(reduced).max()
 
 
+@pytest.mark.capability(39)
+@pytest.mark.digits(13)
 @pytest.mark.parametrize("s", [(1.0, 1e-5), (1e-5, 1.0), (0.95, 1.0), (1.0, 1.0)])
 def test_last_eigenpairs_do_not_cancel(s):
     """Against 60 digits; at s_1 >> s_2 the printed beta + gamma loses 9 of them."""
@@ -329,6 +343,7 @@ def test_last_eigenpairs_do_not_cancel(s):
 # What is misprinted
 
 
+@pytest.mark.misprint(1, "Hessian off by {0:.3g}")
 def test_misprint_rank_one_term():
     """Line 1 of the Hessian with dI2/dF is off by 2.8, also against its own second line."""
     U, s, V = mi.svd(F0)
@@ -340,6 +355,11 @@ def test_misprint_rank_one_term():
     assert off(printed, right) == pytest.approx(2.839, abs=1e-3)
 
 
+@pytest.mark.misprint(2, "lambda_1 becomes lambda_2, off by {0:.2g}")
+@pytest.mark.misprint(
+    3,
+    "each eigenmatrix with the other's eigenvalue, {1:.3g} and {2:.2g} times its own",
+)
 def test_misprint_eigenvalues():
     """lambda_1 with + gamma is lambda_2; the final two eigenvalues stand exchanged."""
     U, s, V = mi.svd(F0)
@@ -356,6 +376,7 @@ def test_misprint_eigenvalues():
         recorder.figure(*(values / right) if as_printed else ())
 
 
+@pytest.mark.misprint(4, "none: true of both")
 def test_gradient_of_I3_is_orthogonal_to_four_eigenmatrices():
     """The remark names dI2/dF; dI3/dF is meant, which the rank-one term holds. True of both."""
     U, s, V = mi.svd(F0)

@@ -104,6 +104,7 @@ def skew_part(X):
 # 1. Decomposition
 
 
+@pytest.mark.capability(41)
 @every_case
 def test_polar_decomposition(state, group):
     """G = R S = U Sigma V^T: R is in the group and S symmetric, positive where R may reflect."""
@@ -142,6 +143,7 @@ def exact_decomposition(G, U, V, sign):
     return mp.matrix([*mp.matrix(u).T.tolist(), s, *mp.matrix(v).T.tolist()])
 
 
+@pytest.mark.capability(42, 43)
 @pytest.mark.parametrize(
     ("state", "group"), list(itertools.product(["generic", "inverted"], GROUPS))
 )
@@ -169,6 +171,7 @@ def orthogonal(X):
     return Q * mp.diag([mp.sign(R[i, i]) for i in range(3)])
 
 
+@pytest.mark.capability(42, 50)
 @pytest.mark.parametrize("state", ["equal", "all equal", "inverted, equal"])
 def test_rates_of_equal_singular_values(state, rng):
     """Eigenvalues of blocks of U^T dG V: one-sided differences of 80 digits, h = 1e-30."""
@@ -213,6 +216,7 @@ def test_small_tensors_are_not_singular_ones(group, rng):
 # 3. The rotation
 
 
+@pytest.mark.capability(44, 45, 50)
 @every_case
 def test_differential_of_the_rotation(state, group, rng):
     """DR and dS are those of 80 digits, at equal, zero and negative singular values too."""
@@ -238,6 +242,7 @@ def test_differential_of_the_rotation(state, group, rng):
 # 4. Energy and gradient
 
 
+@pytest.mark.capability(40, 46, 47, 48, 49)
 @both_A
 @every_case
 def test_energy_and_its_derivatives(state, group, A, rng):
@@ -285,6 +290,7 @@ def test_printed_forms_need_a_symmetric_A(rng):
     agree(product, np.einsum("ijkl,kl->ij", printed, dF), 14)
 
 
+@pytest.mark.misprint(17, "both mixed: Hessian off by {0:.2g}")
 def test_rotation_and_unsigned_singular_values_do_not_mix():
     """Section 1: R in SO(3) with the s_i >= 0 of O(3) gives a Hessian that is 73 % off."""
     F, _, hessian = exact_derivatives("inverted", "SO(3)", True)
@@ -312,6 +318,7 @@ def test_pole_of_the_rotation_in_SO3(total):
     assert eigenvalues[-1] == pytest.approx(2 - 4 / total, rel=accuracy)
 
 
+@pytest.mark.capability(50)
 @every_case
 def test_eigenvalues_of_the_identity(state, group):
     """A = I: 2 six times and 2 - 4/(s_i + s_j); two states at once."""

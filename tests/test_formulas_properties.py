@@ -56,6 +56,7 @@ def close(found, wanted, tolerance=1e-11):
 # Document 000
 
 
+@pytest.mark.capability(2)
 @law
 @given(names, shaped(3, 3), seeds)
 def test_isotropy(name, F, seed):
@@ -71,6 +72,7 @@ def test_isotropy(name, F, seed):
     close(tangent(name, turned), T, 1e-10)
 
 
+@pytest.mark.capability(3)
 @law
 @given(names, shaped(3, 3), st.permutations(range(3)))
 def test_permutation(name, F, order):
@@ -126,6 +128,7 @@ def test_homogeneity(F, factor):
     close(P, 4 * F @ F.T @ F)
 
 
+@pytest.mark.capability(5)
 @law
 @given(names.filter(lambda name: name != "user"), shaped(2, 2), shaped(2, 2))
 def test_plane_strain(name, F, dF):
@@ -145,6 +148,7 @@ def test_plane_strain(name, F, dF):
     close(found, sd.tangent_action(tangent(name, solid), along)[:2, :2], 1e-10)
 
 
+@pytest.mark.capability(9)
 @law
 @given(st.lists(st.floats(-4, 4), min_size=3, max_size=3), st.floats(-2, 2), st.floats(-2, 2))
 def test_rotations_about_one_axis_add(r, a, b):
@@ -165,6 +169,7 @@ def membrane(F):
     return U, s, V
 
 
+@pytest.mark.capability(25)
 @law
 @given(shaped(3, 2), seeds)
 def test_membranes_do_not_feel_rotations(F, seed):
@@ -179,6 +184,7 @@ def test_membranes_do_not_feel_rotations(F, seed):
     close(me.sheet_hessian(*turned, 1.3), wanted)
 
 
+@pytest.mark.capability(39)
 @law
 @given(shaped(3, 2))
 def test_eigensystem_of_the_sheet(F):
@@ -232,6 +238,7 @@ def test_membranes_embedded_in_3d(F, F_dot):
     close(dR[:, 2], rate)
 
 
+@pytest.mark.capability(28)
 @law
 @given(shaped(3, 2), shaped(3, 2))
 def test_split_of_a_perturbation(F, F_dot):
@@ -247,6 +254,7 @@ def test_split_of_a_perturbation(F, F_dot):
     close(second.omega[:2], [M[2, 1] / s[1], -M[2, 0] / s[0]], 1e-13)
 
 
+@pytest.mark.capability(26)
 @law
 @given(shaped(2, 2))
 def test_the_other_second_invariant(A):
@@ -262,6 +270,7 @@ def test_the_other_second_invariant(A):
 # Document 002
 
 
+@pytest.mark.capability(40)
 @law
 @given(shaped(3, 3), shaped(3, 3), GROUPS, seeds)
 def test_polar_energy_turns_with_the_body(F, A, group, seed):
@@ -294,6 +303,7 @@ def test_polar_energy_is_arap(F, seed):
     )
 
 
+@pytest.mark.capability(45)
 @law
 @given(shaped(3, 3), shaped(3, 3), GROUPS)
 def test_spins_solve_the_sylvester_equation(G, dG, group):

@@ -137,6 +137,7 @@ def blocks(name, F, **options):
 # Energies
 
 
+@pytest.mark.capability(3)
 @every_energy
 def test_energies_have_their_derivatives(name):
     """psi_i and psi_ij are complex steps of psi^ and psi_i; psi^ is that written in mpmath."""
@@ -160,6 +161,7 @@ def test_moduli_may_vary_over_the_leading_axes(rng):
 # Decomposition and rotations
 
 
+@pytest.mark.capability(1)
 @pytest.mark.parametrize("state", STRETCHES)
 def test_signed_svd(state):
     """F = U Sigma V^T with rotations; only the last, smallest stretch has a sign: that of det F."""
@@ -176,6 +178,7 @@ def test_signed_svd(state):
         assert np.array_equal(found[0, 0], one)
 
 
+@pytest.mark.capability(1)
 def test_unsigned_svd_is_no_substitute():
     """An inverted F with all s > 0 gets the stress of another state."""
     F, energy = gradient("inverted"), ENERGIES["fixed_corotated"]
@@ -197,6 +200,7 @@ def exact_rotation(r):
         return R
 
 
+@pytest.mark.capability(9)
 @pytest.mark.parametrize("size", [3.0, np.pi, 0.7, 1e-4, 1e-8, 1e-20, 1e-170, 0.0])
 def test_rodrigues(size, rng):
     """Rodrigues' formula is exp(cp(r)); R - I is exact to the last digits however small r is."""
@@ -216,6 +220,7 @@ def test_rodrigues(size, rng):
     assert np.array_equal(sd.rodrigues(several)[1, 2], sd.rodrigues(several[1, 2]))
 
 
+@pytest.mark.capability(10, 12)
 def test_cross_matrix_and_plane_rotation(rng):
     """The matrix cp makes k x x; the 2D rotation turns e1 to (cos, sin) and angles add up."""
     k, x = rng.normal(size=(2, 5, 3))
@@ -227,6 +232,7 @@ def test_cross_matrix_and_plane_rotation(rng):
     agree(np.linalg.det(R), np.ones(4), 15)
 
 
+@pytest.mark.capability(11)
 def test_parametrization(rng):
     """F(s, u, v) has the stretches s and turns by u and v: exact values, in 3D and 2D."""
     s, u, v = rng.normal(size=(3, 4, 3))
@@ -247,6 +253,8 @@ def test_parametrization(rng):
 # Storage
 
 
+@pytest.mark.capability(8, 16)
+@pytest.mark.digits("exact")
 @pytest.mark.parametrize("d", [2, 3])
 def test_storage_and_permutation(d):
     """P_ij at d i + j, dP_ij/dF_kl at (d i + j, d k + l); 11 22 33 | 12 21 | 13 31 | 23 32."""
@@ -263,6 +271,8 @@ def test_storage_and_permutation(d):
     assert np.array_equal(sd.unpermuted(sd.permuted(matrix)), matrix)
 
 
+@pytest.mark.capability(16)
+@pytest.mark.digits("exact")
 def test_block_diagonal():
     """diag(A, B12, B13, B23): A and B where they belong, zeros elsewhere."""
     A, B = np.arange(1.0, 10).reshape(3, 3), np.arange(10.0, 22).reshape(3, 2, 2)
@@ -279,6 +289,7 @@ def test_block_diagonal():
 # Stress and its derivative
 
 
+@pytest.mark.capability(4, 5, 6, 7, 23)
 @pytest.mark.parametrize(
     ("name", "state"), [x for x in itertools.product(ENERGIES, STRETCHES) if applies(*x)]
 )
@@ -297,6 +308,7 @@ def test_stress_and_tangent_are_derivatives_of_the_energy(name, state):
     agree(sd.frozen_differential(sd.tangent_at_stretches(A, B), U, V, dF), wanted, 13)
 
 
+@pytest.mark.capability(2, 6)
 @pytest.mark.parametrize("d", [2, 3])
 @every_energy
 def test_frozen_rotations(name, d, rng):

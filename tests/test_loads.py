@@ -203,6 +203,197 @@ def test_a_thick_tube_is_blown_up_by_each_pressure(way):
     assert tube_pressure(7.0, 18.625, 7.0 + grown, 200.0) == pytest.approx(100, rel=1e-6)
 
 
+CELLS = {
+    "triangle": lambda order: meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=4, order=order),
+    "quadrilateral": lambda order: meshes.block(
+        MPI.COMM_SELF, (1.0, 1.0), n=4, cells="quadrilateral", order=order
+    ),
+    "tetrahedron": lambda order: meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=4, order=order),
+    "hexahedron": lambda order: meshes.block(
+        MPI.COMM_SELF, (1.0, 1.0, 1.0), n=4, cells="hexahedron", order=order
+    ),
+}
+
+
+@pytest.mark.parametrize("cells", CELLS)
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_a_point_load_s_work_is_the_force_times_the_displacement(cells, degree, rng):
+    """- f . u(X) of a random displacement to rounding: inside, on facets, edges, corners."""
+    body = CELLS[cells](1)
+    u = forms.displacement(body, degree)
+    u.x.array[:] = rng.normal(size=u.x.array.size)
+    dim = body.mesh.geometry.dim
+    f = np.array([2.0, -1.0, 0.5])[:dim]
+    for point in (0.31, 0.17, 0.68), (0.5, 0.5, 0.3), (0.25, 0.5, 0.75), (1, 0, 1), (0, 0.4, 1):
+        x = point[:dim]
+        value = forms.integral(forms.point_load(u, x, f))
+        assert value == pytest.approx(-f @ forms.at(u, x), abs=1e-12)
+
+
+@pytest.mark.parametrize("cells", CELLS)
+def test_a_point_load_in_curved_cells(cells, rng):
+    """Exact there, too: the weights are those of the rule that the form is integrated by."""
+    body = CELLS[cells](2)
+    x = body.mesh.geometry.x
+    x[:, 0] += 0.05 * np.sin(3 * x[:, 1]) * x[:, 0]
+    u = forms.displacement(body, 2)
+    u.x.array[:] = rng.normal(size=u.x.array.size)
+    dim = body.mesh.geometry.dim
+    f = np.array([2.0, -1.0, 0.5])[:dim]
+    for point in (0.31, 0.17, 0.68), (0.5, 0.5, 0.3):
+        value = forms.integral(forms.point_load(u, point[:dim], f))
+        assert value == pytest.approx(-f @ forms.at(u, point[:dim]), abs=1e-10)
+
+
+@pytest.mark.parametrize("cells", CELLS)
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_a_line_load_s_work_is_the_integral_along_the_line(cells, degree):
+    """|x - 1/2|^k, which has a kink at facets, along lines across cells, in facets and on edges."""
+    body = CELLS[cells](1)
+    u = forms.displacement(body, degree)
+    dim = body.mesh.geometry.dim
+    u.interpolate(lambda x: [abs(x[0] - 0.5) ** degree, 0 * x[0], 0 * x[0]][:dim])
+    for a, b in (
+        ((0.1, 0.2, 0.3), (0.93, 0.77, 0.61)),
+        ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        ((0.13, 0.5, 0.0), (0.9, 0.5, 0.4)),
+        ((0.5, 0.25, 0.25), (0.9, 0.25, 0.25)),
+        ((0.5, 0.3, 0.2), (0.5, 0.8, 0.2)),
+    ):
+        first, last = np.array(a[:dim]), np.array(b[:dim])
+        value = forms.integral(forms.loads.line_load(u, first, last, [3.0, 1.0, 1.0][:dim]))
+        # The primitive of |y|^k is y |y|^k / (k + 1).
+        y0, y1 = first[0] - 0.5, last[0] - 0.5
+        length = np.linalg.norm(last - first)
+        wanted = 0.0
+        if y0 != y1:
+            ends = [y * abs(y) ** degree / (degree + 1) for y in (y0, y1)]
+            wanted = length * (ends[1] - ends[0]) / (y1 - y0)
+        # gmsh's vertices lie at 0.5 to 1e-12.
+        assert value == pytest.approx(-3 * wanted, abs=1e-11)
+
+
+def test_loads_on_sheets_in_space(rng):
+    """Points and lines of a surface mesh, along its boundary and across cells."""
+    body = meshes.square(MPI.COMM_SELF, 1.0, 0.2)
+    u = forms.displacement(body, 2)
+    low = body.mesh.geometry.x.min(axis=0)
+    u.x.array[:] = rng.normal(size=u.x.array.size)
+    x = low + np.array([0.33, 0.21, 0.0])
+    value = forms.integral(forms.point_load(u, x, (1, 2, 3)))
+    assert value == pytest.approx(-np.dot([1, 2, 3], forms.at(u, x)), abs=1e-12)
+    u.interpolate(lambda x: (0 * x[0], 0 * x[0], (x[0] - low[0]) ** 2))
+    for a, b in (([0, 0, 0], [1, 0, 0]), ([0, 0.1, 0], [1, 0.9, 0])):
+        value = forms.integral(forms.loads.line_load(u, low + a, low + b, (0, 0, 1.0)))
+        assert value == pytest.approx(-np.linalg.norm(np.subtract(b, a)) / 3, abs=1e-12)
+
+
+LOADED = """
+import json
+import sys
+from mpi4py import MPI
+import numpy as np
+import ufl
+from variform import forms, meshes
+
+n, cells = int(sys.argv[1]), sys.argv[2]
+body = meshes.block(MPI.COMM_WORLD, (10.0, 1.0), n=(n, 4), cells=cells)
+u, t = forms.displacement(body, 2), forms.load_factor(body)
+psi = forms.energies.saint_venant_kirchhoff(forms.deformation_gradient(u), 1.0, 0.0)
+found = {}
+held = forms.clamp(u, body.facets("left"))
+for name, load in {
+    "point": forms.point_load(u, (6.03, 0.5), (0.0, -1e-6 * t)),
+    "line": forms.loads.line_load(u, (0.0, 0.52), (10.0, 0.52), (0.0, -1e-7 * t)),
+    "gravity": forms.gravity(u, 1e-7 * t / 9.81),
+}.items():
+    u.x.array[:], t.value = 0, 0
+    path = forms.follow(psi * ufl.dx + load, u, held, t, step=1.0, progress=False)
+    force, moment = forms.resultant(path, body.facets("left"))
+    found[name] = [forms.at(u, (10.0, 0.5))[1], *force, moment[2]]
+if body.mesh.comm.rank == 0:
+    print(json.dumps(found))
+"""
+
+
+def test_a_cantilever_under_a_point_a_line_and_its_weight(parallel):
+    """Timoshenko's beam, E = 2, G = 1, I = 1/12, and the balance with the support; two meshes.
+
+    P a^2 (3 L - a) / (6 E I) + 6/5 P a / G; q L^4 / (8 E I) + 6/5 q L^2 / (2 G). The clamp holds
+    the section, and the load is 1e-6 of E: 0.3 %.
+    """
+    bends = 1e-6 * 6.03**2 * (30 - 6.03) / 1 + 1.2e-6 * 6.03
+    sags = 1e-7 * 1e4 / (8 * 2 / 12) + 1.2e-7 * 50
+    wanted = {
+        "point": (bends, 1e-6, 6.03e-6),
+        "line": (sags, 1e-6, 5e-6),
+        "gravity": (sags, 1e-6, 5e-6),
+    }
+    first = parallel(LOADED, 1, 40, "triangle")
+    for found in (first, parallel(LOADED, 1, 33, "quadrilateral")):
+        for name, (deflection, force, moment) in wanted.items():
+            v, fx, fy, fz, m = found[name]
+            assert -v == pytest.approx(deflection, rel=3e-3), name
+            assert (fx, fy, fz) == pytest.approx((0, force, 0), abs=1e-13)
+            assert m == pytest.approx(moment, rel=1e-4)  # of the deformed state
+    for ranks in (2, 3):
+        other = parallel(LOADED, ranks, 40, "triangle")
+        for name, values in first.items():
+            assert other[name] == pytest.approx(values, rel=1e-8, abs=1e-13)
+
+
+def test_a_point_load_of_a_mixed_unknown_and_by_control(rng):
+    """The displacement's part of w; the same potential with another load factor."""
+    mesh = unit_mesh(2, 3)
+    w, t = forms.displacement_pressure(mesh), forms.load_factor(mesh, 2.0)
+    w.x.array[:] = rng.normal(size=w.x.array.size)
+    load = forms.point_load(ufl.split(w)[0], (0.3, 0.4), (t, 3 * t))
+    u = forms.displacement_of(w)
+    for value in (2.0, 5.0):
+        t.value = value
+        wanted = -value * np.dot([1, 3], forms.at(u, (0.3, 0.4)))
+        assert forms.integral(load) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_gravity_points_down():
+    """Against the last coordinate, or along a direction of any length; g by name."""
+    for dim in (2, 3):
+        mesh = unit_mesh(dim, 2)
+        u = forms.displacement(mesh)
+        u.x.array[:] = np.tile(0.5 * (1 + np.arange(dim)), u.x.array.size // dim)
+        value = forms.integral(forms.gravity(u, 2.0))
+        assert value == pytest.approx(2 * 9.81 * 0.5 * dim, rel=1e-13)
+        along = forms.gravity(u, 2.0, g=1.62, direction=(3.0, *[0.0] * (dim - 1)))
+        assert forms.integral(along) == pytest.approx(-1.62, rel=1e-13)
+        for wrong in ((0.0,) * dim, (1.0,) * (dim + 1)):
+            with pytest.raises(ValueError, match=rf"direction of {dim} components.* got \("):
+                forms.gravity(u, 2.0, direction=wrong)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda u, x: forms.point_load(u, (1.5, 0.0), (0, 1)),
+            r"the point \(1.5, 0.0\) lies 0.5 outside the mesh",
+        ),
+        (
+            lambda u, x: forms.loads.line_load(u, (0, 0), (1, 1.2), (0, 1)),
+            r"the line's point \(0.9.*\) lies 0.1.* outside the mesh",
+        ),
+        (lambda u, x: forms.loads.line_load(u, (0, 0), (0, 0), (0, 1)), "got .* twice: use point"),
+        (lambda u, x: forms.point_load(u, (0, 0, 0), (0, 1)), "a point of 2 finite coordinates"),
+        (lambda u, x: forms.point_load(u, (0, 0), (0, 0, 1)), r"needs the shape \(2,\), got \(3,"),
+        (lambda u, x: forms.point_load(u, (0, 0), (0, x[0])), "constant in space, got .*: write"),
+        (lambda u, x: forms.point_load(2 * x, (0, 0), (0, 1)), "the displacement, a vector of one"),
+    ],
+)
+def test_loads_at_no_place_are_refused(call, message):
+    mesh = unit_mesh(2, 2)
+    with pytest.raises(ValueError, match=message):
+        call(forms.displacement(mesh), ufl.SpatialCoordinate(mesh))
+
+
 def test_bad_loads_are_refused():
     mesh = unit_mesh(2)
     u = forms.displacement(mesh)

@@ -68,6 +68,7 @@ def exists(name, state):
     return not PAIRS[name][4] or state not in ("flat", "inverted", "inverted, equal")
 
 
+@pytest.mark.capability(3, 4, 7, 20, 21, 23)
 @pytest.mark.parametrize(
     ("name", "state"), [x for x in itertools.product(PAIRS, STATES) if exists(*x)]
 )
@@ -107,6 +108,7 @@ PLANE = {
 PLANE_STRETCHES = [(1.4, 0.7), (0.9, 0.9), (1.1 + 1e-9, 1.1), (1.2, -0.6)]
 
 
+@pytest.mark.capability(4, 7)
 @pytest.mark.parametrize(
     ("name", "s"),
     [x for x in itertools.product(PLANE, PLANE_STRETCHES) if x != ("neo_hookean", (1.2, -0.6))],
@@ -166,6 +168,7 @@ def twice(psi, F):
     return ufl.diff(ufl.diff(psi, F), F)
 
 
+@pytest.mark.capability(35, 36, 37, 39)
 @pytest.mark.parametrize(
     "energy",
     [sheet_in_invariants, lambda F: energies.neo_hookean_sheet(F, MU)],
@@ -190,6 +193,7 @@ def test_automatic_sheet_is_that_of_001(energy, rng):
             assert np.abs(H @ q - value * q).max() < 1e-12 * scale
 
 
+@pytest.mark.capability(33)
 def test_automatic_energies_of_invariants_are_those_of_001(rng):
     """The energy psi = I1^2 I3 + sin I2 + I1 I2 by energies.sheet: the chain rule."""
     automatic = Derivatives(
@@ -208,6 +212,7 @@ def test_automatic_energies_of_invariants_are_those_of_001(rng):
         agree(H, mi.to_matrix(mi.energy_hessian(U, s, V, first, second)), 12)
 
 
+@pytest.mark.capability(39)
 def test_automatic_sheet_in_stretches_and_its_projection(rng):
     """psi_sheet of s1, s2 on 3x2 arrays, and its positive semi-definite tangent."""
     F = membranes(rng)
@@ -235,6 +240,7 @@ ACTIVATIONS = {"identity": np.eye(3), "symmetric": SYMMETRIC, "general": GENERAL
 ACTIVATED = [(1.4, 0.9, 0.5), (1.2, 1.2, 0.7), (0.8, 0.8, 0.8), (1.3, 0.8, -0.4), (1.3, 1.3, -0.4)]
 
 
+@pytest.mark.capability(46, 47, 49, 50)
 @pytest.mark.parametrize("group", ["SO(3)", "O(3)"])
 @pytest.mark.parametrize("name", ACTIVATIONS)
 def test_automatic_activation_is_that_of_002(name, group, rng):

@@ -2,6 +2,7 @@
 """Notebooks are their sources, executed, and the solutions of their exercises run."""
 
 import re
+import time
 
 import pytest
 from conftest import ROOT
@@ -90,3 +91,23 @@ def test_runs_with_its_solutions(source, run):
     assert re.fullmatch(rf"{source.stem} +[\d.]+ s +\d+ kB\n", done.stdout)
     assert done.stderr == ""
     assert source.with_suffix(".ipynb").read_bytes() == before
+
+
+def test_no_reply_is_lost_beside_a_slider(monkeypatch):
+    """A slider's output goes to the kernel just when the cell's reply is there: it is found."""
+    pytest.importorskip("ipywidgets")
+    output_widget = pytest.importorskip("nbclient.output_widget").OutputWidget
+    builder = pytest.importorskip("demos.notebooks.__main__")
+    sync_state = output_widget.sync_state
+
+    def late(widget):
+        time.sleep(0.3)  # the event loop stands still meanwhile, and the reply comes
+        sync_state(widget)
+
+    monkeypatch.setattr(output_widget, "sync_state", late)
+    source = "from ipywidgets import interact\ninteract(lambda g: print('here'), g=(0, 9))"
+    cells = [nbformat.v4.new_code_cell(source) for _ in range(2)]
+    start = time.monotonic()
+    builder.execute(nbformat.v4.new_notebook(cells=cells), seconds=60)
+    assert time.monotonic() - start < 60  # nbclient looks once more when the time is up
+    assert [cell.execution_count for cell in cells] == [1, 2]

@@ -10,8 +10,10 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 import ufl
+from cases import at_plane, bending, unit_mesh
 
 from variform import forms, meshes
+from variform.forms.solving.linear import presets as linear_presets
 from variform.forms.solving.options import SolverOptions
 
 
@@ -127,21 +129,84 @@ def test_files_variables_and_the_command_line(run, tmp_path, monkeypatch):
 
 
 def test_a_volume_held_reads_the_database_too(scene, database, capfd):
-    """The bordered solver of control and arc_length: its options, and a view that shows them."""
+    """Control and arc_length: the same options as solve's, and a view that shows them."""
     potential, u, supports = scene
     q = forms.load_factor(u.function_space.mesh)
     load = forms.dead_traction(u, ufl.as_vector([0.0, 0.1 * q]), ufl.ds(domain=q.ufl_domain()))
-    database["variform_bordered_pc_type"] = "lu"
-    database["variform_bordered_ksp_view"] = None
+    database["variform_pc_type"] = "lu"
+    database["variform_ksp_view"] = None
     path = forms.arc_length(potential + load, u, supports, q, step=0.1, steps=1, progress=False)
     assert len(path.steps) == 1
     sys.stdout.flush()
     assert "type: lu" in capfd.readouterr().out
-    assert database.hasName("variform_bordered_pc_type")
+    assert database.hasName("variform_pc_type")
 
 
-def test_options_of_another_solver_are_not_said_to_be_unused(scene, database, recwarn):
-    """What begins with bordered_ belongs to arc_length, and is no misspelling for solve."""
-    database["variform_bordered_pc_type"] = "lu"
-    forms.solve(*scene)
-    assert np.isfinite(scene[1].x.array).all() and not recwarn.list
+@pytest.mark.parametrize(
+    ("options", "looser"),
+    [
+        ({"snes_rtol": 1e-2}, True),
+        ({"snes_atol": 1e-3}, True),
+        ({"snes_type": "newtontr"}, False),
+        ({"snes_linesearch_type": "l2"}, False),
+        ({"ksp_type": "gmres", "pc_type": "ilu", "ksp_rtol": 1e-10}, False),
+    ],
+)
+def test_options_reach_petsc(options, looser):
+    """PETSc's tolerances, globalizations and linear solvers are chosen by its own names."""
+    plain, _ = bending()
+    chosen, _ = bending(options=options, ctol=1.0 if looser else 1e-6)
+    distance = np.abs(plain.u.x.array - chosen.u.x.array).max()
+    assert (distance > 1e-6) == looser
+
+
+def test_options_end_with_their_solve():
+    """A solve's options do not reach the next one with its prefix; misspelled ones are named."""
+    with pytest.warns(UserWarning, match="did not use the options snes_typ: are they") as said:
+        bending(options={"snes_typ": "newtontr"})
+    assert [warning.filename for warning in said] == [bending.__code__.co_filename]
+    with pytest.raises(forms.NotConverged):
+        bending(options={"snes_max_it": 1}, min_step=0.09)
+    path, _ = bending()
+    assert max(s.convergence.iterations for s in path.steps) > 1
+
+
+def test_an_absolute_tolerance_is_named():
+    path, _ = bending(options={"snes_atol": 1e-3}, ctol=1.0)
+    assert path.steps[0].convergence.reason == "snes_atol = 0.001 reached"
+
+
+@pytest.mark.parametrize("linear", ["cholesky", "gamg"])
+def test_linear_solvers_agree(linear):
+    """Multigrid with rigid body modes and the factorization reach the same solution."""
+    mesh = unit_mesh(3, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    options = linear_presets.multigrid() if linear == "gamg" else {}
+    path = forms.solve(psi, u, supports, options=options, prefix=f"{linear}_", rtol=1e-12)
+    ksp_its = path.steps[0].convergence.linear_iterations
+    assert (ksp_its > path.steps[0].convergence.iterations) == (linear == "gamg")
+    assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("pc", ["cholesky", "jacobi", "gamg"])
+def test_a_trust_region_reaches_the_same_state(pc):
+    """SNES newtontr with Steihaug's conjugate gradients, by options alone."""
+    mesh = unit_mesh(3, 4)
+    u = forms.displacement(mesh)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    supports = [
+        forms.clamp(u, at_plane(mesh, 0, 0.0)),
+        forms.translate(u, at_plane(mesh, 0, 1.0), (0.0, 0.3, 0.0)),
+    ]
+    options = {"snes_type": "newtontr", "ksp_type": "stcg", "pc_type": pc, "snes_max_it": 100}
+    path = forms.solve(psi, u, supports, options=options, prefix="trust_", rtol=1e-12)
+    assert path.steps[0].convergence.negative is None
+    assert forms.at(u, (0.5, 0.5, 0.5)) == pytest.approx(MIDDLE, rel=1e-8, abs=1e-9)
+
+
+MIDDLE = [0.0, 0.15, 0.0]  # by the point symmetry of the sheared cube about its middle

@@ -9,7 +9,7 @@ import pytest
 SCENES = """
 import json
 from mpi4py import MPI
-import numpy as np, ufl
+import numpy as np, scenes, ufl
 from variform import forms, meshes
 
 comm = MPI.COMM_WORLD
@@ -21,24 +21,9 @@ def solved(scene, tight):
     tolerance = {"rtol": 1e-12, "ctol": 1e-10} if tight else {}
     virtual_work = None
     if scene == "twist":
-        body = meshes.block(comm, (1.0, 0.3, 0.3), h=0.12)
-        t, u = forms.load_factor(body), forms.displacement(body, degree=2)
-        F = forms.deformation_gradient(u)
-        potential = neo_hookean(F, 1.0, 5.0) * ufl.dx
-        supports = [forms.clamp(u, body.facets("left")),
-                    forms.rotate(u, body.facets("right"), 0.8 * t, axis=(1, 0, 0))]
-        held, points = body.facets("right"), [(0.5, 0.3, 0.3), (1.0, 0.0, 0.1), (0.21, 0.1, 0.15)]
+        body, t, u, F, potential, supports, held, points = scenes.twist(comm, h=0.12, turn=0.8)
     elif scene == "mixed":
-        body = meshes.cook(comm, n=6)
-        t, u = forms.load_factor(body), forms.displacement_pressure(body)
-        v, p = ufl.split(u)
-        F = forms.deformation_gradient(v)
-        psi = forms.energies.isochoric_neo_hookean(F, 80.0)
-        psi = forms.energies.with_pressure(psi, F, p, 4e5)
-        right = body.ds("right")
-        potential = psi * ufl.dx + forms.dead_traction(v, ufl.as_vector([0 * t, 3.0 * t]), right)
-        supports = [forms.clamp(u, body.facets("left"))]
-        held, points = body.facets("left"), [(48.0, 60.0), (20.0, 30.0)]
+        body, t, u, F, potential, supports, held, points = scenes.mixed(comm, n=6, force=3.0)
     elif scene == "follower":
         body = meshes.block(comm, (4.0, 1.0, 1.0), n=(8, 2, 2), cells="hexahedron")
         t, u = forms.load_factor(body), forms.displacement(body)

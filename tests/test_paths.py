@@ -327,6 +327,8 @@ def test_bad_input_gets_one_sentence(change, message):
     [
         ((0.3, 0.2), None, r"where the unknown has a node, got \[0.3, 0.2\]; the nearest node"),
         ((0.0,), None, r"a point of 2 finite coordinates, got \(0.0,\)"),
+        (((0, 0), (0, 0.7)), None, r"where the unknown has a node, got \[0.0, 0.7\]; the nearest"),
+        ("left", None, "a point of 2 finite coordinates, got left"),
         ((0.0, 0.0), (2,), r"axes between 0 and 1, got \[2\]"),
     ],
 )
@@ -413,18 +415,17 @@ def test_petsc_s_own_arc_length_finds_the_same_path():
     assert np.abs(theirs[inside_ours, 1] - on_path).max() < 0.01 * loads.max()
 
 
-def test_a_path_speaks_of_its_own_solver_and_start():
-    """No SNES is named where none is used, and before the first step load is where it begins."""
+def test_a_path_speaks_of_its_start():
+    """Before the first step the load is where the path begins."""
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
     u, q = forms.displacement(body), forms.load_factor(body)
     q.value = 0.7
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
     load = forms.dead_traction(u, ufl.as_vector([q, 0 * q]), body.ds("right"))
     held = [forms.clamp(u, body.facets("left"))]
-    with pytest.raises(forms.NotConverged, match=r"^Newton's method stopped after 0 it") as failed:
-        forms.arc_length(psi + load, u, held, q, step=0.1, to=0.9, max_iterations=0, progress=False)
-    assert failed.value.path.load == 0.7
-    with pytest.raises(forms.NotConverged, match="^SNES stopped after 1 iterations") as failed:
-        limit = {"snes_max_it": 1, "snes_rtol": 1e-14}
-        forms.follow(psi + load, u, held, q, 0.9, options=limit, progress=False)
-    assert failed.value.path.load == 0.7 == q.value
+    limit = {"snes_max_it": 1, "snes_rtol": 1e-14}
+    for call in (forms.follow, forms.arc_length):
+        how = {"to": 0.9} if call is forms.follow else {"to": 0.9, "step": 0.1}
+        with pytest.raises(forms.NotConverged, match="^SNES stopped after 1 iterations") as failed:
+            call(psi + load, u, held, q, options=limit, progress=False, **how)
+        assert failed.value.path.load == 0.7 == q.value

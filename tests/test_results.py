@@ -52,6 +52,103 @@ def test_moment_moves_with_its_point(sheared):
     assert moved == pytest.approx(moment - np.cross([1, 2, 3], force), abs=1e-12)
 
 
+REACTIONS = """
+import json
+from mpi4py import MPI
+import numpy as np
+import ufl
+from dolfinx.mesh import locate_entities
+from variform import forms, meshes
+
+body = meshes.block(MPI.COMM_WORLD, (2.0, 1.0, 0.5), n=(4, 2, 1), cells="hexahedron")
+w, t = forms.displacement_pressure(body), forms.load_factor(body)
+u, p = ufl.split(w)
+F = forms.deformation_gradient(u)
+psi = forms.energies.with_pressure(forms.energies.neo_hookean(F, 10.0, 0.0), F, p, 20.0)
+weight = forms.body_force(u, ufl.as_vector([0.0, -0.3 * t, 0.1 * t]))
+ends = [(0, 0, 0), (0, 0, 0.25), (0, 0, 0.5)], [(1.5, 0, 0), (1.5, 0, 0.25), (1.5, 0, 0.5)]
+left, right = forms.pin(w, ends[0]), forms.pin(w, ends[1], axes=(1,))
+side = forms.pin(w, (1.5, 0, 0.25), axes=(2,))
+path = forms.follow(psi * ufl.dx + weight, w, [left, right, side], t, step=1.0, progress=False)
+edges = locate_entities(
+    body.mesh, 1, lambda x: np.isclose(x[0], 1.5) & np.isclose(x[1], 0)
+)
+cells = np.arange(body.mesh.topology.index_map(3).size_local, dtype=np.int32)
+f = forms.results.nodal_forces(path)
+owned = f.x.array[: f.function_space.dofmap.index_map.size_local * 3].reshape(-1, 3)
+X = ufl.SpatialCoordinate(body.mesh)
+turning = ufl.cross(X + u, ufl.as_vector([0, -0.3, 0.1]))
+arm = [forms.integral(turning[i] * ufl.dx) for i in range(3)]
+found = {
+    "left": forms.resultant(path, left),
+    "points": forms.resultant(path, ends[0]),
+    "one": forms.resultant(path, (0.0, 0, 0.25)),
+    "pin": forms.resultant(path, forms.pin(w, (0, 0, 0.25))),
+    "right": forms.resultant(path, right),
+    "side": forms.resultant(path, side),
+    "edges": forms.resultant(path, edges, dim=1),
+    "both": forms.resultant(path, np.array(ends[1])),
+    "all": forms.resultant(path, cells, dim=3),
+    "nodes": [body.mesh.comm.allreduce(owned.sum(axis=0)), np.zeros(3)],
+}
+found = {key: [a.tolist() for a in value] for key, value in found.items()}
+largest = np.sort(np.concatenate(body.mesh.comm.allgather(np.linalg.norm(owned, axis=1))))
+found |= {"arm": arm, "largest": largest[-7:].tolist()}
+if body.mesh.comm.rank == 0:
+    print(json.dumps(found))
+"""
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_reactions_at_pins_lines_and_points_balance_the_weight(parallel, ranks):
+    """A heavy beam on two rows of pins, 3 nodes each: forces, and moments in the deformed state.
+
+    The right one takes what turns about the left: sum x cross R = - int x cross b dV.
+    """
+    found = {k: np.array(v) for k, v in parallel(REACTIONS, ranks).items()}
+    held = found["left"] + found["right"] + found["side"]
+    assert held[0] == pytest.approx([0, 0.3, -0.1], abs=1e-9)  # the weight of 1 m^3
+    assert held[1] == pytest.approx(-found["arm"], abs=1e-9)
+    assert np.abs(found["right"][0]).max() > 0.15 and found["right"][0, 0] == 0
+    for a, b in (
+        ("left", "points"),
+        ("one", "pin"),
+        ("edges", "both"),
+    ):
+        assert found[a] == pytest.approx(found[b], abs=1e-12), (a, b)
+    assert found["both"] == pytest.approx(found["right"] + found["side"], abs=1e-9)
+    assert found["all"] == pytest.approx(held, abs=1e-9)
+    assert found["nodes"][0] == pytest.approx(held[0], abs=1e-9)
+    # Six nodes are held; all others are in balance.
+    assert found["largest"][1] > 1e-3 and found["largest"][0] < 1e-9
+
+
+def test_places_of_resultants_that_are_none(sheared):
+    """One sentence each: an unknown for a path, points off the nodes, another's support."""
+    mesh, _, _, path = sheared
+    other = forms.displacement(mesh)
+    for call, message in (
+        (
+            lambda: forms.resultant(path.u, at_plane(mesh, 2, 1.0)),
+            "resultant needs a path or a problem, .* got Unknown displacement: pass",
+        ),
+        (
+            lambda: forms.results.nodal_forces(3),
+            "nodal_forces needs a path or a problem.* got int:",
+        ),
+        (lambda: forms.resultant(path, (0.1, 0.0, 0.0)), r"has a node, got \[0.1, 0.0, 0.0\]; the"),
+        (lambda: forms.resultant(path, (0.1, 0.0)[:1]), r"a point of 3 finite coordinates, got"),
+        (lambda: forms.resultant(path, forms.pin(other, (0, 0, 0))), "got one of another: make it"),
+        (
+            lambda: forms.resultant(path, np.array([10**6]), dim=1),
+            "1 of 1 entities of dimension 1 are not of this unknown's mesh",
+        ),
+        (lambda: forms.resultant(path, np.array([0]), dim=4), "of dimension 0 to 3, got dim = 4"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
 def test_resultant_is_the_work_of_a_rigid_motion(sheared):
     """Force . e_x = int P : grad v dV for v = e_x on the top, 0 at the other nodes."""
     mesh, F, psi, path = sheared

@@ -5,8 +5,9 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from test_checkpoint import Stopped, files, names, stop_after, twist
-from test_checkpoint import neo_hookean as solid
+import scenes
+from broken_paths import Stopped, files, names, stop_after
+from broken_paths import neo_hookean as solid
 from test_control import sphere
 from test_problems import Well
 
@@ -37,9 +38,9 @@ def arc(once=False, **options):
 
 def walk(once=False, **options):
     """A block that is twisted by load steps."""
-    *scene, t = twist()
+    *scene, t = scenes.twist(MPI.COMM_SELF, h=0.2, turn=1.5).path
     scene = (forms.Problem(*scene),) if once else scene
-    return forms.follow(*scene, t=t, progress=False, **options)
+    return forms.follow(*scene, t=t, **{"progress": False, **options})
 
 
 PATHS = {"argvalues": [walk, targets, arc], "ids": ["follow", "control", "arc_length"]}
@@ -111,7 +112,7 @@ def test_a_path_tells_how_it_went(lead):
 
 def test_a_checkpoint_that_would_forget_is_refused(tmp_path):
     """A term's own state is in no checkpoint: said before the first step."""
-    *scene, t = twist()
+    *scene, t = scenes.twist(MPI.COMM_SELF, h=0.2, turn=1.5).path
     potential, u, held = scene
     problem = forms.Problem([potential, Well(u, 1.0, 0.0)], u, held)
     with pytest.raises(ValueError, match="holds the unknown only, and terms keep more, 1:calls:"):

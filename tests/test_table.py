@@ -8,20 +8,12 @@ from importlib import import_module
 
 import pytest
 import recorder
-from capabilities import BOUNDS, CAPABILITIES, ERRATA
 from conftest import ROOT
 
 from demos.benchmarks import misprints
 from variform import forms
 
 PAGE = (ROOT / "forms" / "formulas" / "README.md").read_text()
-
-
-def table(name):
-    """Cells of the rows between two markers, without the head."""
-    part = PAGE.partition(f"<!-- {name}: ")[2].partition(f"<!-- end of {name} -->")[0]
-    lines = [line for line in part.splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line[1:-1].split(" | ")] for line in lines[2:]]
 
 
 def collectable():
@@ -36,21 +28,44 @@ def collectable():
     return found
 
 
+def names(cell):
+    return re.findall(r"`(.*?)`", cell)
+
+
 def test_the_table_has_all_82_items():
-    """Items 1 to 82 of documents 000 to 003, as capabilities.py has them."""
-    rows = table("capabilities")
-    assert [int(row[0]) for row in rows] == list(range(1, 83))
-    for row, c in zip(rows, CAPABILITIES, strict=True):
-        assert row[1:4] == [c.document, c.equation, c.what]
-        assert tuple(re.findall(r"`(.*?)`", row[4])) == c.functions and c.functions
-        assert tuple(re.findall(r"`(.*?)`", row[5])) == c.tests and c.tests
-    assert [row[1] for row in rows] == ["000"] * 23 + ["001"] * 16 + ["002"] * 11 + ["003"] * 32
+    """Items 1 to 82 of documents 000 to 003, each with a test that bears its mark."""
+    assert not recorder.strangers(PAGE)
+    table, found = recorder.rows(PAGE, "capabilities"), recorder.proofs()
+    assert [int(row[0]) for row in table] == list(range(1, 83))
+    assert [row[1] for row in table] == ["000"] * 23 + ["001"] * 16 + ["002"] * 11 + ["003"] * 32
+    for item, _, equation, what, functions, tests, _ in table:
+        assert equation and what and names(functions), item
+        assert sorted(names(tests)) == sorted(found[int(item)]), item
+
+
+def test_an_unknown_mark_is_refused(monkeypatch):
+    """A mark with a number that the tables have not, and a number that no test bears."""
+    marked = {**recorder.marks("capability"), "test_a": [(83, 1)]}
+    del marked["test_storage_and_permutation"]  # all that item 8 has
+    monkeypatch.setattr(recorder, "marks", {"capability": marked, "misprint": {}}.__getitem__)
+    first, second, third = recorder.strangers(PAGE)[:3]
+    assert first == "no test is marked with 8 of the capabilities"
+    assert second == "test_a: there is no 83 of the capabilities"
+    assert third == "no test is marked with 1 of the misprints"
+
+
+def test_no_mark_is_overlooked():
+    """Marks stand on functions of the files that the tables speak of, and nowhere else."""
+    kinds = ("capability", "misprint", "digits")
+    seen = sum(len(found) for kind in kinds for found in recorder.marks(kind).values())
+    text = "".join(file.read_text() for file in recorder.TESTS.glob("*.py"))
+    assert seen == len(re.findall(rf"mark\.(?:{'|'.join(kinds)})\b", text)) > 100
 
 
 def test_every_function_named_exists():
     """In forms.formulas, or where its full name says."""
-    for c in CAPABILITIES:
-        for name in c.functions:
+    for row in recorder.rows(PAGE, "capabilities"):
+        for name in names(row[4]):
             if name.startswith("forms."):
                 assert callable(operator.attrgetter(name.removeprefix("forms."))(forms)), name
             else:
@@ -62,27 +77,34 @@ def test_every_function_named_exists():
 def test_every_test_named_exists():
     """Each name is that of one test, so that it needs no file."""
     found = collectable()
-    named = {test for row in (*CAPABILITIES, *ERRATA) for test in row.tests}
-    for name in named | set(re.findall(r"`(test_\w+)`", PAGE)):
+    marked = {*recorder.marks("capability"), *recorder.marks("misprint")}
+    for name in marked | set(re.findall(r"`(test_\w+)`", PAGE)):
         assert len(found.get(name, [])) == 1, (name, found.get(name))
-    assert set(BOUNDS) <= named
+    assert set(recorder.marks("digits")) <= marked
 
 
 def test_no_row_has_fewer_than_nine_digits():
     """A number, or how it is proved without one."""
-    for row in table("capabilities"):
+    for row in recorder.rows(PAGE, "capabilities"):
         numbers = re.findall(r"\d+", row[6])
         assert all(9 <= int(n) <= recorder.DOUBLE for n in numbers)
         assert re.fullmatch(r"(\d+)?(, )?((symbolic|exact)(, )?)*", row[6]) and row[6], row
 
 
+def test_a_test_without_digits_is_refused():
+    """Nothing that agree recorded, and no mark."""
+    with pytest.raises(ValueError, match="test_a compares nothing by agree: mark it by the digits"):
+        recorder.digits("test_a")
+
+
 def test_the_misprints_are_seventeen_with_their_effects():
     """All of them, each with a test; no brace of a figure is left."""
-    rows = table("misprints")
-    assert [int(row[0]) for row in rows] == list(range(1, 18))
-    for row, e in zip(rows, ERRATA, strict=True):
-        assert row[1:4] == [e.place, e.printed, e.corrected]
-        assert "{" not in row[4] and row[4]
+    table, found = recorder.rows(PAGE, "misprints"), recorder.prints()
+    assert [int(row[0]) for row in table] == list(range(1, 18))
+    for number, *printed, effect, tests in table:
+        assert all(printed) and len(printed) == 3, number
+        assert sorted(names(tests)) == sorted(found[int(number)]), number
+        assert "{" not in effect and effect
 
 
 def test_a_table_needs_its_markers():
@@ -96,6 +118,6 @@ def test_a_table_needs_its_markers():
 
 def test_the_table_of_newton_has_the_rows_of_its_script():
     """Tangents and materials of demos/benchmarks/misprints.py, exact ones with 4 or 5 steps."""
-    rows = table("newton")
+    rows = recorder.rows(PAGE, "newton")
     assert [tuple(row[:2]) for row in rows] == list(misprints.ROWS)
     assert all(re.fullmatch(r"[45](, [45]){3}", row[2]) for row in rows if row[0] == "exact")

@@ -90,7 +90,8 @@ crack = d**2 / 0.2 + 0.2 * ufl.inner(ufl.grad(d), ufl.grad(d))
 held = [forms.roller(w, body.facets("left"), 0), forms.roller(w, body.facets("bottom"), 1),
         forms.translate(w, body.facets("right"), (0.4 * t, None))]
 damage = ((1 - d) ** 2 * psi + 0.5 / 2 * crack) * ufl.dx
-path = forms.follow(damage, w, held, t, progress=False, rtol=1e-12, ctol=1e-10)
+t.value = 1.0
+path = forms.solve(damage, w, held, rtol=1e-12, ctol=1e-10)
 found["damage"] = [*forms.at(forms.field(d, body), (0.3, 0.6)), forms.integral(psi * ufl.dx),
                    float(path.problem.minimization), float("full tangent" in
                    path.steps[-1].convergence.tried)]
@@ -222,3 +223,31 @@ def test_bad_fields_are_refused():
         forms.prescribe(w["theta"], whole(mesh), [1.0, 2.0])
     with pytest.raises(ValueError, match="needs the unknown itself"):
         forms.prescribe(2 * w["theta"], whole(mesh), 1.0)
+
+
+@pytest.mark.parametrize(("cells", "degree"), [("tetrahedron", 2), ("hexahedron", 3)])
+def test_a_part_of_a_mixed_unknown_is_that_part(cells, degree):
+    """Values at points, supports that turn and resultants see the nodes that the form sees."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2), cells=cells)
+    w, t = forms.displacement_pressure(body, degree), forms.load_factor(body, 0.4)
+    u, p = ufl.split(w)
+    F = forms.deformation_gradient(u)
+    psi = forms.energies.isochoric_neo_hookean(F, 1.0)
+    psi = forms.energies.with_pressure(psi, F, p, 10.0) * ufl.dx
+    turned = forms.rotate(w, whole(body.mesh), angle=t, axis=(1, 2, 3), center=(0, 0, 0))
+    path = forms.solve(psi, w, [turned])
+    moved = forms.displacement_of(w)
+    assert forms.integral(ufl.inner(moved - u, moved - u) * ufl.dx) < 1e-20
+    assert path.problem.energy() < 1e-16  # a rigid rotation, inside as well
+    force, moment = forms.resultant(path, body.facets("left"))
+    assert np.abs(force).max() < 1e-8 and np.abs(moment).max() < 1e-8
+
+
+def test_an_unknown_whose_nodes_are_mixed_up_is_refused():
+    """DOLFINx 0.9 numbers the parts of mixed tetrahedra of degree 3 otherwise than the whole."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2))
+    w = forms.displacement_pressure(body, 3)
+    with pytest.raises(ValueError, match="mixes up nodes of .* take degree 2, or hexahedra"):
+        forms.displacement_of(w)
+    with pytest.raises(ValueError, match="mixes up nodes"):
+        forms.clamp(w, body.facets("left"))

@@ -13,6 +13,7 @@ NAMES = (
     "operators",
     "misprints",
     "hard_cases",
+    "fidelity",
     "locking",
     "multigrid",
     "atlas",
@@ -20,6 +21,7 @@ NAMES = (
     "work_precision",
     "scaling",
     "kills",
+    "validity",
 )
 
 

@@ -19,8 +19,12 @@ from pathlib import Path
 
 import jupytext
 import nbformat
+import zmq
+from jupyter_client import AsyncKernelClient
+from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+from traitlets import Type
 
 HERE = Path(__file__).resolve().parent
 LIMIT = 600_000  # bytes of an executed notebook
@@ -52,12 +56,42 @@ def solutions(notebook):
     ]
 
 
-def execute(notebook):
-    """Run all cells in place, in an empty folder; raises where one of them does."""
+class ShellChannel(AsyncZMQSocketChannel):
+    """The channel on which cells go to the kernel and replies come back."""
+
+    def send(self, message):
+        """Send, then look whether a reply came meanwhile.
+
+        The output of a slider is sent back to the kernel while the cell's reply is awaited. Such a
+        send goes past asyncio and may take from ZeroMQ the only signal that the reply has come:
+        nobody would look before the cell's time is up.
+        """
+        super().send(message)
+        self.socket.get(zmq.EVENTS)  # asking is what makes asyncio look
+
+
+class KernelClient(AsyncKernelClient):
+    """A client whose shell loses no reply."""
+
+    shell_channel_class = Type(ShellChannel)
+
+
+class Runner(NotebookClient):
+    """nbclient's, with such a client."""
+
+    def create_kernel_manager(self):
+        """As NotebookClient says."""
+        manager = super().create_kernel_manager()
+        manager.client_factory = KernelClient
+        return manager
+
+
+def execute(notebook, seconds=900):
+    """Run all cells in place, in an empty folder; raises where one of them does, or is too slow."""
     with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(
+        client = Runner(
             notebook,
-            timeout=900,
+            timeout=seconds,
             startup_timeout=900,
             record_timing=False,
             resources={"metadata": {"path": folder}},

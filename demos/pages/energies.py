@@ -305,34 +305,47 @@ def _source_cell(row):
 
 
 def used_in(text):
-    """Energies that Python code uses, as energies.NAME, and the groups of tests/cases.py in it."""
-    tree, found, groups = ast.parse(text), set(), set()
+    """Energies that Python code uses, as energies.NAME, and what it takes of what tests share."""
+    tree, found, taken = ast.parse(text), set(), set()
     chosen = "getattr(energies, " in text  # by a name in quotes
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
-            base = node.value
-            if getattr(base, "attr", getattr(base, "id", "")) == "energies":
+            base = getattr(node.value, "attr", getattr(node.value, "id", ""))
+            if base == "energies":
                 found.add(node.attr)
+            taken.add((base, node.attr))
         elif isinstance(node, ast.ImportFrom):
             inside = {alias.name for alias in node.names}
             found |= inside if node.module == "forms.energies" else set()
-            groups |= inside if node.module == "cases" else set()
+            taken |= {(node.module, name) for name in inside}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             found |= {node.value} if chosen else set()
-            found.update(re.findall(r"\benergies\.(\w+)", node.value))  # a script to run
-    return found & names(), groups
+            # A script to run.
+            found.update(re.findall(r"\benergies\.(\w+)", node.value))
+            taken.update(re.findall(r"\b(scenes)\.(\w+)", node.value))
+    return found & names(), taken
+
+
+def shared():
+    """Energies that stand in tests/*.py for several test files, by the module and what has them."""
+    found = {}
+    for file in (ROOT / "tests").glob("*.py"):
+        if file.name.startswith(("test_", "conftest")):
+            continue
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+                found[file.stem, node.targets[0].id] = used_in(ast.unparse(node))[0]
+            elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+                found[file.stem, node.name] = used_in(ast.unparse(node))[0]
+    return found
 
 
 def tests():
-    """For each energy the test files that use it, by name or through tests/cases.py."""
-    groups = {}
-    for node in ast.parse((ROOT / "tests" / "cases.py").read_text()).body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
-            groups[node.targets[0].id] = used_in(ast.unparse(node))[0]
-    found = {name: [] for name in names()}
+    """For each energy the test files that use it, by name or through what several of them share."""
+    groups, found = shared(), {name: [] for name in names()}
     for file in sorted((ROOT / "tests").glob("test_*.py")):
-        used, imported = used_in(file.read_text())
-        for name in used.union(*(groups.get(group, ()) for group in imported)):
+        used, taken = used_in(file.read_text())
+        for name in used.union(*(groups.get(what, ()) for what in taken)):
             found[name].append(file.stem.removeprefix("test_"))
     return found
 

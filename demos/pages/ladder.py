@@ -7,6 +7,8 @@ FAILURES = {
     Failure.LINEAR: "a linear solver that failed",
     Failure.USED_UP: "iterations that were used up",
     Failure.NO_DESCENT: "a search without descent",
+    Failure.CREEPING: "a search by |R| that creeps",
+    Failure.NOT_FINITE: "a state that is not finite",
     Failure.NEAR: "a search by the energy that has come near the solution",
 }
 
@@ -16,6 +18,8 @@ def lines():
     rows = []
     for number, way in enumerate(LADDER, start=1):
         after = [FAILURES[failure] for failure in Failure if failure in way.on]
-        where = " of a search by the energy" if way.after is Merit.ENERGY else ""
+        where = {Merit.ENERGY: " of a search by the energy", Merit.NONE: " of full steps"}.get(
+            way.after, ""
+        )
         rows.append(f"{number}. {way.words}; after {' or '.join(after)}{where}")
     return rows

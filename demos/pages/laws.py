@@ -22,18 +22,25 @@ LAWS = {
     "variation": "residual and tangent are derivatives, every energy in every kinematics; "
     "(29), (32), (34), (52); (12), (27), (28)",
     "point_kernels": "signed singular values; stress and tangent of ten energies against 110-digit "
-    "differences of the energy (reference.py); projection, clamp, inf and NaN; how many "
-    "evaluations and sweeps they cost",
+    "differences of the energy (reference.py); projection, inf and NaN",
+    "quotients": "difference and sum quotients at every gap, the clamp; how many evaluations and "
+    "sweeps they cost",
     "operators": "energies in singular values equal plain UFL in any form: cells, orders, facets, "
-    "regions, parameters, products, mixed unknowns, sheets; document 002; wrong input; the limits; "
-    "nothing beyond an array's bounds",
+    "regions, parameters, products, mixed unknowns, sheets; document 002; the limits",
+    "operator_errors": "what energies in singular values refuse, a sentence each, and where they "
+    "are infinite",
+    "native": "compiled code at work: caches, compilers, ranks, what it costs; nothing beyond an "
+    "array's bounds",
     "compilation": "code is compiled once, ever, whatever was made before; kills at any moment, "
     "two at a time, no locks",
     "projection": "projected tangents; ruined states return to rest; the last iterations are "
     "quadratic",
     "membranes": "areas, volumes and sides of surfaces; sheet energies as derivatives and in "
     "several ways; a sphere under pressure",
-    "loads": "pressure is the derivative of p V; signs; tangents of follower loads",
+    "evaluation": "any energy at arrays of F: closed forms, differences, equal singular values; "
+    "compiled once",
+    "loads": "pressure is the derivative of p V; signs; tangents of follower loads; points and "
+    "lines whatever the mesh",
     "supports": "rigid motions at every node and load",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
@@ -53,18 +60,38 @@ LAWS = {
     "elastica, pins",
     "stepping": "load steps, targets and arc length alike: broken off, a path goes on bit by bit; "
     "an interrupt names the checkpoint; how a path went, in a few lines",
-    "checkpoint": "a path taken up again is the uninterrupted one; kills at any moment, full "
-    "disks, wrong meshes",
+    "following": "the path is the user's: the right state of README's twist, the account of its "
+    "energy, events, jumps on purpose, SNES's monitor, ranks",
+    "programs": "tables of loads, kinks on which steps end, loads that go back",
+    "checkpoint": "a path taken up again is the uninterrupted one; broken files, full disks",
+    "checkpoint_refusals": "checkpoints of another mesh, element, way or format are refused before "
+    "anything is solved",
+    "checkpoint_ranks": "checkpoints are of no partition; a path goes on, on other ranks; errors "
+    "reach all",
+    "kills": "kills at any moment leave a whole checkpoint",
     "multigrid": "multigrid over the order and the field split find MUMPS's solution, at "
     "iterations that hardly grow",
-    "options": "PETSc's options hold wherever they are set, and stay the user's",
-    "failures": "failures and interrupts keep the last state; undefined states and derivatives are "
-    "refused and named; options and tolerances; wrong arguments",
-    "results": "resultants balance; values at points; JSON, VTX and pictures read back",
-    "formulas_elasticity": "document 003, (1)-(28) in NumPy against complex steps and UFL; its "
-    "misprints measured",
-    "formulas_element": "hand-written elements, (29)-(60): R = T \u2212 F and K_c + K_sigma equal "
-    "the automatic residual and tangent on tet4, tet10, hex8, hex27",
+    "options": "PETSc's options hold wherever they are set, and stay the user's; linear solvers "
+    "chosen by them agree",
+    "failures": "failures and interrupts keep the last state; undefined states and starts are "
+    "refused and named",
+    "arguments": "wrong arguments of a solve or a path are refused before anything is solved",
+    "stability": "rigid motions that nothing holds are named; negative eigenvalues count "
+    "instabilities alone",
+    "differentiation": "slack fibers, branches in powers, second derivatives that are infinite",
+    "results": "resultants balance, of pins, points, lines and regions, too; values at points; "
+    "JSON, VTX and pictures read back",
+    "output": "VTU, OBJ, PLY and CSV are read back by PyVista, meshio and NumPy; 1, 2, 3 ranks",
+    "validity": "bounds of J over whole cells are never above a J, tell the sign and are narrow: "
+    "every element, curved cells, axis, sheets, ranks",
+    "formulas_elasticity": "document 003, (1)-(12), (27), (28): strains, work, stresses and "
+    "elasticity tensors against complex steps; laws of any state",
+    "formulas_materials": "document 003, (13)-(26): isotropic and transversely isotropic materials "
+    "against complex steps and UFL; their misprints measured",
+    "formulas_shapes": "shape functions, faces and quadrature rules of hand-written elements",
+    "formulas_element": "hand-written elements, (29)-(60), one by one; their misprints measured",
+    "formulas_assembly": "bodies assembled by hand: R = T \u2212 F and K_c + K_sigma equal the "
+    "automatic residual and tangent on tet4, tet10, hex8, hex27",
     "formulas_svd": "document 000: stress and dP/dF against 80-digit differences of psi(F); "
     "quotients at all gaps",
     "formulas_derivation": "document 000: the derivation in SymPy; blocks as derived, as printed, "
@@ -78,7 +105,12 @@ LAWS = {
     "003 cost Newton",
     "table": "the tables of forms/formulas/README.md are complete and name what exists",
     "parallel": "1, 2 and 3 ranks agree; errors reach all ranks",
-    "meshes": "volumes, areas, normals, names, files, bad files",
+    "meshes": "volumes, areas, normals and names of every generator; wrong arguments",
+    "reading": "volumes, areas and names of files of every kind; 1, 2, 3 ranks",
+    "files": "regions, boundaries and data of odd files and of arrays; 1, 2, 3 ranks",
+    "meshio": "meshes of other programs: XDMF and its HDF5, .msh, Abaqus",
+    "bad_files": "files that make no body are refused by name, with what is wrong and how often",
+    "session": "a user's gmsh session comes back as it was",
     "fibers": "fibers of the ventricle against the parametrization that defines them; "
     "active tension",
     "demos": "every demo ends with its known number (demos/README.md)",
@@ -86,7 +118,9 @@ LAWS = {
     "notebooks": "notebooks are their sources, executed; the solutions of their exercises run",
     "benchmarks": "every benchmark at toy size; the block of the peers, the estimate's formula",
     "environment": "docker/enter, its refusals, OpenBLAS, threads",
-    "pages": "tables, pictures, links, code and commands of every page follow from what is there",
+    "builds": "docker/enter makes a root once, whoever kills or doubles it",
+    "generated": "tables and pictures of the pages follow from the code",
+    "pages": "links, code, commands and names of every page are there; forms for contributors",
     "house": "imports point down as drawn, no circle, private names at home, one import name",
     "package": "wheel, versions, imports, the first screen of the README",
 }

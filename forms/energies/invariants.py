@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import ufl
 
+from .._checks import in_ufl
 from .._types import Expr
 from ..kinematics import green_strain, invariants, isochoric_invariants
 from .moduli import check_moduli, check_positive
@@ -64,7 +65,7 @@ def isotropic(F: Expr, psi: Callable[[Expr, Expr, Expr], Expr]) -> Expr:
 
     Source: document 003, III; its stresses (14), (15) are those of ``forms.stress``.
     """
-    return psi(*invariants(_checked(F, "isotropic")))
+    return in_ufl(psi, "isotropic's psi", *invariants(_checked(F, "isotropic")))
 
 
 def volumetric(F: Expr, kappa: Expr, law: str = "quadratic") -> Expr:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import ufl
 
+from .._checks import in_ufl
 from .._types import Expr
 from ..membranes import membrane_invariants
 from .moduli import check_moduli, check_poisson_ratio, check_positive
@@ -72,4 +73,4 @@ def sheet(F: Expr, psi: Callable[[Expr, Expr, Expr], Expr]) -> Expr:
         F: Deformation gradient of a sheet, shape (3, 2).
         psi: Function of (I1, I2, I3) = (s1 + s2, s1^2 + s2^2, s1 s2) that returns a UFL scalar.
     """
-    return psi(*membrane_invariants(F))
+    return in_ufl(psi, "sheet's psi", *membrane_invariants(F))

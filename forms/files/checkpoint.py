@@ -27,9 +27,10 @@ from .. import _dolfinx
 from .._checks import warn
 from .._parallel import on_rank_zero
 from ..paths import Convergence, Step
+from ..validity import Bounds
 from .identity import NodeOrder
 
-FORMAT = 1
+FORMAT = 2
 ANEW = "or start anew with Checkpoint(…, resume=False)"
 
 
@@ -77,12 +78,12 @@ class Saved:
 
     Attributes:
         states: Values of the unknown with its ghosts, of the last converged loads, latest first.
-        steps: Load, convergence and records of each step.
+        steps: The steps of the path.
         control: Numbers of the follower: step lengths, counts.
     """
 
     states: list[NDArray[np.float64]]
-    steps: list[tuple[float, Convergence, dict[str, Any]]]
+    steps: list[Step]
     control: dict[str, Any]
 
 
@@ -301,14 +302,17 @@ def _load(file: FilePath) -> tuple[dict[str, Any], dict[str, NDArray]]:
 
 def _line(step: Step) -> str:
     """A step as JSON, in which floats keep all their bits."""
-    return json.dumps([step.load, vars(step.convergence), step.records], default=_plain)
+    parts = [step.load, vars(step.convergence), step.records, step.bounds]
+    return json.dumps(parts, default=_plain)
 
 
-def _step(line: str) -> tuple[float, Convergence, dict[str, Any]]:
-    load, entries, records = json.loads(line, object_hook=_restored)
+def _step(line: str) -> Step:
+    load, entries, records, bounds = json.loads(line, object_hook=_restored)
     for name in ("residuals", "tried"):
         entries[name] = tuple(entries[name])
-    return load, Convergence(**entries), records
+    if bounds is not None:
+        bounds = Bounds(bounds[0], bounds[1], tuple(bounds[2]))
+    return Step(load, Convergence(**entries), records, bounds)
 
 
 def _plain(value: Any) -> Any:

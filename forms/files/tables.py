@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Tables: a summary of a path in JSON. Collective, correct on any number of ranks."""
+"""Tables: a path in JSON, its records in CSV. Collective, correct on any number of ranks."""
 
 from __future__ import annotations
 
+import csv
 import json
 import platform
 import resource
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -39,9 +40,12 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
         "seconds": path.seconds,
         "peak_memory_mb": peak_memory(problem.comm),
         "refused_steps": path.refused,
+        "tangents": path.tangents,
         "steps": [
             {"load": s.load, **vars(s.convergence), "records": s.records} for s in path.steps
         ],
+        "events": [event._asdict() for event in path.events],
+        "ledger": [row._asdict() for row in path.ledger],
         "unknowns": problem.size,
         "cells": mesh.topology.index_map(mesh.topology.dim).size_global,
         "ranks": problem.comm.size,
@@ -62,6 +66,72 @@ def summary(path: Path, filename: str | FilePath | None = None, **more: Any) -> 
 
         on_rank_zero(problem.comm, write)
     return plain
+
+
+def table(
+    rows: Path | Sequence[Any], filename: str | FilePath | None = None
+) -> list[dict[str, float | str]]:
+    """Table of what was recorded at each step, or of any other rows, in CSV. Collective.
+
+    ``table(path, "run.csv")`` has a row a step: load, iterations, and the records, an array's
+    entries in columns of their own: ``force_0``, ``force_1``; ``J_lower`` of one with names.
+
+    Args:
+        rows: Path; or rows, as ``path.ledger`` and ``path.events``: mappings or named tuples.
+        filename: CSV file that rank 0 writes; none for the rows alone.
+
+    Returns:
+        The rows, alike on all ranks; a column that a row lacks is left empty in the file.
+
+    Raises:
+        ValueError: the name does not end in .csv, or a row has no names.
+        OSError: the file cannot be written; alike on all ranks.
+    """
+    target = None if filename is None else FilePath(filename)
+    if target is not None and target.suffix != ".csv":
+        raise ValueError(f"a table needs a name that ends in .csv, got {target.name}.")
+    comm: MPI.Comm = MPI.COMM_WORLD
+    given: Sequence[Any] = rows if not isinstance(rows, Path) else ()
+    if isinstance(rows, Path):
+        comm = rows.problem.comm
+        given = [
+            {"load": s.load, "iterations": s.convergence.iterations, **s.records}
+            for s in rows.steps
+        ]
+    flat = [_flat(row) for row in given]
+    if target is not None:
+
+        def write() -> None:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("w", newline="") as file:
+                writer = csv.DictWriter(file, list(dict.fromkeys(k for row in flat for k in row)))
+                writer.writeheader()
+                writer.writerows(flat)
+
+        on_rank_zero(comm, write)
+    return flat
+
+
+def _flat(row: Any) -> dict[str, float | str]:
+    """A row with a number or a text in each column."""
+    named = row._asdict() if hasattr(row, "_asdict") else row
+    if not isinstance(named, Mapping):
+        raise ValueError(
+            "a table needs a path, or rows that are mappings or named tuples, got a "
+            f"{type(row).__name__}."
+        )
+    found: dict[str, float | str] = {}
+    for key, value in named.items():
+        if hasattr(value, "_asdict") or isinstance(value, Mapping):
+            found |= {f"{key}_{name}": entry for name, entry in _flat(value).items()}
+        elif isinstance(value, list | tuple | np.ndarray) and np.ndim(value):
+            array = np.asarray(value)
+            found |= {
+                "_".join([key, *map(str, i)]): array[i].item() for i in np.ndindex(array.shape)
+            }
+        else:
+            found[key] = value.item() if isinstance(value, np.generic | np.ndarray) else value
+    return found
 
 
 def peak_memory(comm: MPI.Comm) -> float:

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-import ufl
 from dolfinx import fem, io
 
 from .._parallel import on_rank_zero
 from .._types import Expr
-from ..fields import Evaluation, discontinuous
 from ..paths import Path
-from ..results import displacement_of
+from .nodes import Nodes
 
 
 class VTX:
@@ -36,20 +34,10 @@ class VTX:
         self._file = FilePath(filename)
         if self._file.suffix != ".bp":
             raise ValueError(f"a VTX file needs a name that ends in .bp, got {self._file.name}.")
-        self._unknown = u
-        W = displacement_of(u).function_space
-        mesh, degree = W.mesh, W.ufl_element().embedded_superdegree
-        family = "Discontinuous Lagrange" if fields else "Lagrange"
-        V = fem.functionspace(mesh, (family, degree, (mesh.geometry.dim,)))
-        self._displacement = fem.Function(V, name="displacement")
-        shapes = {name: ufl.as_ufl(e).ufl_shape for name, e in fields.items()}
-        written = [
-            fem.Function(discontinuous(mesh, degree, shape), name=name)
-            for name, shape in shapes.items()
-        ]
-        self._fields = [Evaluation(e, f) for e, f in zip(fields.values(), written, strict=True)]
+        self._nodes = Nodes(u, fields)
+        mesh = self._nodes.displacement.function_space.mesh
         on_rank_zero(mesh.comm, self._check_writable)
-        outputs = [self._displacement, *written]
+        outputs = self._nodes.functions
         self._writer = io.VTXWriter(mesh.comm, str(self._file), outputs, engine="BP4")
 
     def _check_writable(self) -> None:
@@ -65,9 +53,7 @@ class VTX:
 
     def write(self, load: float) -> None:
         """Write the present state of the unknown under a load factor (ParaView's time)."""
-        self._displacement.interpolate(displacement_of(self._unknown))
-        for evaluation in self._fields:
-            evaluation.update()
+        self._nodes.update()
         self._writer.write(load)
 
     def close(self) -> None:

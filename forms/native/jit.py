@@ -140,7 +140,7 @@ def _prepared(
                 name = _dolfinx.signature(ufl_object, _kind(chosen))
                 place = folder() / f"variform_{name}"
                 make_once(place, make)
-        except Exception as error:
+        except Exception as error:  # whatever it is: the other ranks wait in allgather
             if comm.size == 1:
                 raise
             problem = f"{type(error).__name__}: {error}", isinstance(error, ValueError)
@@ -182,7 +182,7 @@ def alike(comm: MPI.Comm, compile: Callable[[], Any], what: str) -> Any:
         result = compile()
     except ValueError:  # of the form, and not of the compiler: alike on all ranks
         raise
-    except Exception as error:
+    except Exception as error:  # whatever it is: the other ranks wait in allgather
         text = error if isinstance(error, _Failure) else f"{type(error).__name__}: {error}"
         failure = " ".join(str(text).split())[:300]
     failure = max(comm.allgather(failure), key=len)

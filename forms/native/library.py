@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The compiled kernels of points, cells and insertion: built once, beside DOLFINx's own code."""
+"""The compiled kernels of points, cells, insertion, bounds: built once, beside DOLFINx's code."""
 
 from __future__ import annotations
 
@@ -60,10 +60,33 @@ int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count,
                        const int32_t *held, int32_t *places);
 long insertion_add(const target_t *t, const part_t *p, const geometry_t *g,
                    const double *constants, double *K, double *x);
-extern const long declared[10];
+typedef struct {
+  int kind, cells, nodes, space, dim; const int32_t *numbers; int rows[4]; const int32_t *start;
+  const int32_t *node; const double *entry; const double *alone; double spread; int terms;
+  int inner, outer; const int16_t *first; const int16_t *second; const double *inverse;
+  int corners; const int16_t *corner; int width; const double *d; const int8_t *side;
+  int directions; const int32_t *begin; const int16_t *lines; const int16_t *ends; int vertices;
+  const double *vertex;
+} validity_t;
+void validity_coefficients(const validity_t *v, const double *x, double *room, double *out,
+                           double *margins);
+void validity_scan(const validity_t *v, const double *x, double *room, double *low, double *high,
+                   double *most, double *where);
+long validity_refine(const validity_t *v, const double *x, double best, double *room,
+                     double *parts, double *low, double *high, double *most, double *where);
+extern const long declared[14];
 """
-_STRUCTURES = ("operator_t", "jet_t", "integral_t", "target_t", "part_t", "geometry_t")
+_STRUCTURES = (
+    "operator_t",
+    "jet_t",
+    "integral_t",
+    "target_t",
+    "part_t",
+    "geometry_t",
+    "validity_t",
+)
 MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS = 8, 16, 64
+TOGETHER, MAX_PARTS, MAX_LINE = 8, 256, 16  # cells at a time, parts of a cell, numbers in a line
 
 
 def library(comm: MPI.Comm) -> tuple[Any, Any]:
@@ -114,6 +137,7 @@ def _load(path: Path) -> tuple[Any, Any]:
     ffi.cdef(_DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
     ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
+    ours += [TOGETHER, MAX_PARTS, MAX_LINE]
     if list(loaded.declared) != ours:
         raise RuntimeError(
             f"{path} declares other structures than Python, sizes and limits {ours} here and "

@@ -11,6 +11,7 @@ import basix.ufl
 import ufl
 from ufl.corealg.traversal import unique_post_traversal
 
+from .._checks import in_ufl
 from .._types import Expr
 
 # The jet is compiled without a mesh; UFL wants constants to live on one.
@@ -31,13 +32,7 @@ def text(psi_hat: Callable[..., Expr], n: int, name: str) -> Expr:
     Raises:
         ValueError: psi_hat cannot be called with UFL scalars.
     """
-    try:
-        return ufl.as_ufl(psi_hat(*(PROBES[n][i] for i in range(n))))
-    except TypeError as error:
-        raise ValueError(
-            f"{name} failed on UFL scalars ({error}): write it with ufl.ln, ufl.exp, .., not "
-            "with NumPy's functions."
-        ) from error
+    return ufl.as_ufl(in_ufl(psi_hat, name, *(PROBES[n][i] for i in range(n))))
 
 
 def fingerprint(psi: Expr) -> tuple[Any, ...]:

@@ -14,9 +14,10 @@ from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, check_record
 from ..problems import Problem
 from ..supports import Support
-from .bordered import Bordered, scalar
+from .border import Border, scalar
 from .controls.arc import ArcLength
-from .reuse import problem_for
+from .reuse import newton_for, problem_for, release
+from .settings import Settings
 from .stepping import advance
 
 
@@ -33,9 +34,12 @@ def arc_length(
     largest: float = 0.05,
     along: fem.Function | None = None,
     virtual_work: ufl.Form | None = None,
+    options: Mapping[str, Any] | None = None,
+    prefix: str = "variform_",
     rtol: float = 1e-8,
     ctol: float = 1e-6,
-    max_iterations: int = 15,
+    settings: Settings | None = None,
+    refuse_inverted: bool = False,
     record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     checkpoint: Checkpoint | None = None,
@@ -45,9 +49,10 @@ def arc_length(
 
     t . (u - u_n) = s,  t the unit tangent of the path at the last state (u_n, q_n)
 
-    Each step starts along t and returns to equilibrium in the plane at the distance s (Riks'
-    method). s grows after easy steps and is halved where Newton's method fails or the path turns
-    by more than 37 degrees from the step. Collective.
+    Each step starts on the curve through the last states and returns to equilibrium in the plane
+    at the distance s (Riks' method). The contraction of Newton's method sets s, which is also
+    refused where the path turns by more than 37 degrees within it. Limit points and bifurcations
+    are located: ``path.events``. Collective.
 
     Args:
         potential: Total potential [J] of u that contains q; or a :class:`forms.Problem`, which
@@ -64,9 +69,12 @@ def arc_length(
             :func:`forms.lowest_modes` turns into another branch at a bifurcation. ``step`` is then
             the largest displacement [m] of the first step.
         virtual_work: Linear form added to the residual, for loads without a potential.
+        options: PETSc options over the presets, without prefix.
+        prefix: Prefix of the options on the command line, which wins over ``options``.
         rtol: Tolerance of |R_free| relative to the force level.
         ctol: Tolerance of the last correction relative to the model's size.
-        max_iterations: Newton iterations per step.
+        settings: Numbers that the solver and the steps are tuned by.
+        refuse_inverted: Refuse steps to states where J > 0 everywhere is not certain.
         record: Functions of the problem, evaluated after each step.
         on_step: Called with the path after each step.
         checkpoint: Where the path is saved, and taken up when the script is started again; see
@@ -87,13 +95,17 @@ def arc_length(
     q = scalar(q, "arc_length")
     problem = problem_for(potential, u, supports, virtual_work)
     archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of arc_length")
-    bordered = Bordered(problem, q, rtol, ctol, max_iterations)
-    path = Path(problem.u, problem, begin=bordered.load)
-    with bordered.kept_if_sound():
-        steps_of = ArcLength(path, bordered, step, to, steps, until, largest, along)
+    newton = newton_for(problem, options, prefix, rtol, ctol, "never", settings, factorized=True)
+    path = Path(problem.u, problem, begin=float(q.value))
+    try:
+        border = Border(problem, [q], newton.tangent)
+        steps_of = ArcLength(path, newton, border, step, to, steps, until, largest, along)
+        steps_of.refuse_inverted = refuse_inverted
+    except BaseException:
+        release(newton, sound=False)
+        raise
     advance(steps_of, record, on_step, archive, progress)
-    asked = to is not None or until is not None
-    path.completed = not (asked and "steps taken" in path.reason)
+    path.completed = not (steps_of.used_up and (to is not None or until is not None))
     return path
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from petsc4py import PETSc
@@ -39,10 +40,12 @@ class Criteria:
         correction: Largest last change of a displacement [m].
         last: The last level.
         goal: Norm of the forces at which the residual is small [N].
+        watcher: Called with a residual's norm and the goal at each iteration; None for nobody.
     """
 
     def __init__(self, scaled: Scaled, rtol: float, ctol: float, atol: float) -> None:
         self.scaled, self.rtol, self.ctol, self.atol = scaled, rtol, ctol, atol
+        self.watcher: Callable[[float, float], None] | None = None
         self.begin()
 
     def begin(self) -> None:
@@ -70,6 +73,8 @@ class Criteria:
         """Take note of a residual's norm. Collective."""
         self.last, self._floor = Level(norm, self.force), self.scaled.floor()
         self.goal = max(self.rtol * self.force, self.atol, self._floor)
+        if self.watcher is not None:
+            self.watcher(norm, self.goal)
 
     def hold(self, before: Level, first: bool, iterative: bool) -> bool:
         """Whether both tolerances are reached.
@@ -86,6 +91,8 @@ class Criteria:
 
     def reached(self) -> str:
         """What was reached, in words."""
+        if self.last.residual > self.goal:
+            return "corrections vanish, the forces are at their rounding"
         if self.last.residual > max(self.rtol * self.last.force, self._floor):
             return f"snes_atol = {self.atol:g} reached"
         return "both tolerances reached"

@@ -4,17 +4,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
 from ..files.checkpoint import Archive, Checkpoint
-from ..paths import Path, Step, check_record, instability, recorded
+from ..paths import Path, Step, check_record, recorded
 from ..problems import Problem
 from ..supports import Support
-from .controls.load import LoadSteps, Walk, attempt
+from .certificates import certified_volume
+from .controls.load import LoadSteps, attempt, pace_of
 from .reuse import newton_for, problem_for, release
 from .settings import Settings
 from .stepping import advance
@@ -85,9 +87,10 @@ def solve(
             outcome.advice or f"Reach the load in steps with forms.follow{shown}.",
         )
     problem.commit()
-    path.steps.append(Step(load, outcome, recorded(record, problem)))
+    bounds = certified_volume(problem)
+    path.steps.append(Step(load, outcome, recorded(record, problem), bounds))
     path.completed = True
-    path.reason = f"{outcome.sentence()}.{instability(path.steps)}"
+    path.reason = f"{outcome.sentence()}.{path.verdict()}"
     return path
 
 
@@ -96,11 +99,13 @@ def follow(
     u: fem.Function | None = None,
     supports: Iterable[Support] = (),
     t: fem.Constant | None = None,
-    to: float = 1.0,
+    to: float | Sequence[float] = 1.0,
     *,
     step: float | None = None,
     min_step: float | None = None,
     max_step: float | None = None,
+    jump: bool = False,
+    refuse_inverted: bool = False,
     virtual_work: ufl.Form | None = None,
     options: Mapping[str, Any] | None = None,
     prefix: str = "variform_",
@@ -113,10 +118,12 @@ def follow(
     checkpoint: Checkpoint | None = None,
     progress: bool = True,
 ) -> Path:
-    """Follow the solution while the load factor goes from its present value to a last one.
+    """Follow the path of equilibria while the load factor goes to its last value.
 
-    A step that fails is halved and tried again from the last converged state; a step that took few
-    iterations lets the next one grow by half. Collective.
+    Each state is extrapolated from the last ones and corrected by plain Newton; the contraction of
+    its corrections sets the lengths of the steps, and refuses those that might lead to another
+    equilibrium. Energy, stability and volume ratios of each state are looked at
+    (``path.ledger``, ``path.events``). Collective.
 
     Args:
         potential: Total potential [J] (or a residual, linear in a test function); or a
@@ -124,10 +131,15 @@ def follow(
         u: Unknown, starting from its present values.
         supports: Prescribed displacements, which may depend on t.
         t: Load factor that the potential and the supports were written with.
-        to: Last load factor.
+        to: Last load factor; or several, one after the other, each of which ends a step: the load
+            factor may go back. Kinks of the loads (:func:`forms.programs.table`) end steps, too.
         step: First step of t; by default a tenth of the way.
-        min_step: Smallest step; by default 1/1000 of the way.
-        max_step: Largest step; by default twice the first.
+        min_step: Smallest step; by default 1e-4 of the way.
+        max_step: Largest step; none by default.
+        jump: Go on where no equilibrium is connected to the last one, as behind a limit point, by
+            minimizing the energy at the next load: an event that records the energy set free.
+        refuse_inverted: Refuse steps to states where J > 0 everywhere is not certain, which else
+            are noted.
         virtual_work: Linear form added to the residual, for loads without a potential.
         options: PETSc options over the presets, without prefix.
         prefix: Prefix of the options on the command line, which wins over ``options``.
@@ -156,7 +168,16 @@ def follow(
         raise ValueError(
             f"follow needs the load factor of forms.load_factor, got {type(t).__name__}."
         )
-    walk = Walk.start(float(t.value), to, step, min_step, max_step)
+    stops = [float(stop) for stop in np.atleast_1d(to)]
+    lengths = np.abs(np.diff([float(t.value), *stops]))
+    if not (stops and np.all(lengths > 0)):
+        raise ValueError(
+            f"the load factor is at {to} already: use solve, or another to=."
+            if len(stops) == 1
+            else f"the load factors of to= differ each from the one before, got {stops}."
+        )
+    way = float(lengths.sum())
+    pace = pace_of(way, step, min_step, max_step, settings or Settings())
     check_record(record)
     problem = problem_for(potential, u, supports, virtual_work)
     if not problem.depends_on(t):
@@ -167,4 +188,6 @@ def follow(
     archive = None if checkpoint is None else Archive(checkpoint, u, "path of follow")
     newton = newton_for(problem, options, prefix, rtol, ctol, projection, settings)
     path = Path(u, problem, begin=float(t.value))
-    return advance(LoadSteps(path, newton, t, walk, prefix), record, on_step, archive, progress)
+    steps = LoadSteps(path, newton, t, stops, pace, jump)
+    steps.refuse_inverted = refuse_inverted
+    return advance(steps, record, on_step, archive, progress)

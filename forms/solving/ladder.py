@@ -11,8 +11,11 @@ class Failure(IntEnum):
     """Why a run of SNES ended, by PETSc's codes."""
 
     LINEAR = -3  # the linear solver failed
+    NOT_FINITE = -4  # full steps led out of where the energy is finite
     USED_UP = -5  # the iterations
     NO_DESCENT = -6  # the line search found no lower value
+    CREEPING = -8  # a search by |R| lowers it by little, time and again
+    NO_CONTRACTION = -9  # corrections that do not shrink fast enough, within a path
     NEAR = 3  # so near the solution that the energy drowns in rounding: no failure
 
 
@@ -39,6 +42,7 @@ class Way:
             longer than a factorization; "renewed", the preconditioner of the present tangent in
             place of a lagged one.
         until: Fraction of the force level below which a search by the energy hands over to |R|.
+        back: Whether it begins where the way before began to creep.
     """
 
     words: str
@@ -48,6 +52,7 @@ class Way:
     tangent: str | None = None
     linear: str | None = None
     until: float | None = None
+    back: bool = False
 
 
 def _way(words: str, *on: Failure, **what: object) -> Way:
@@ -91,9 +96,19 @@ LADDER = (
     # where a descent of |R| creeps, from the start or from nearby.
     _way(
         "full steps: from the start without an energy, else from near the solution",
+        Failure.CREEPING,
         Failure.USED_UP,
         Failure.NO_DESCENT,
         merit=Merit.NONE,
         tangent="full",
+    ),
+    _way(
+        "|R| to the end, from where it crept",
+        Failure.USED_UP,
+        Failure.NO_DESCENT,
+        Failure.NOT_FINITE,
+        after=Merit.NONE,
+        merit=Merit.RESIDUAL,
+        back=True,
     ),
 )

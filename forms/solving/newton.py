@@ -54,6 +54,7 @@ class Newton:
     """
 
     criteria: Criteria
+    _crept: PETSc.Vec | None
 
     def __init__(
         self,
@@ -71,7 +72,7 @@ class Newton:
             problem.prepare_projection()
         self.problem, self.projection = problem, projection
         self.settings = settings or Settings()
-        self.options = SolverOptions(prefix, options, apart="bordered_")
+        self.options = SolverOptions(prefix, options)
         user = self.options.user
         self.tangent = Tangent(problem, self.options, self.settings, lambda: self.criteria.start)
         rtol, atol = float(user.get("snes_rtol", rtol)), float(user.get("snes_atol", 0.0))
@@ -111,11 +112,12 @@ class Newton:
         if problem.has_energy and not np.isfinite(problem.energy()):
             self.criteria.imbalance = None
             return Convergence(False, undefined(problem), -1, 0, 0, 0, np.inf, 0.0, np.inf)
-        self._solved = True
+        self.used()
         ruined, runs.ruined, runs.until = runs.ruined, False, self.settings.near
         runs.merit = Merit.ENERGY if problem.minimization else Merit.RESIDUAL
         self.tangent.projecting = self.projection == "always" or (ruined and self.may_project())
-        self._start = runs.x.copy()
+        self._start, self._crept, runs.patient = runs.x.copy(), None, problem.minimization
+        runs.patient |= not runs.knows(Merit.NONE)
         outcome = self._run()
         while self._goes_on(outcome):
             outcome = self._run(outcome)
@@ -173,11 +175,17 @@ class Newton:
             return False
         if way.merit is Merit.NONE and not self._may_step(outcome):
             return False
+        if way.back and self._crept is None:
+            return False
         runs.merit, runs.until = way.merit or runs.merit, way.until or runs.until
         if way.tangent in ("full", "projected"):
             tangent.projecting = way.tangent == "projected"
         if way.merit is Merit.NONE and not self.problem.minimization:
+            self._crept = runs.x.copy() if outcome.code == Failure.CREEPING else None
             self._start.copy(runs.x)
+        elif way.back and self._crept is not None:
+            self._crept.copy(runs.x)
+            self._crept, runs.patient = None, True
         return True
 
     def may_project(self) -> bool:
@@ -218,6 +226,10 @@ class Newton:
         self.tangent.scaled.residual(self.runs.b)
         self.criteria.imbalance = self.runs.b.norm()
 
+    def used(self) -> None:
+        """Take note of a solve, after which options that PETSc did not ask for are warned of."""
+        self._solved = True
+
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Take the memory of an earlier Newton, after the first tangent. Collective."""
         if memory["direct"]:
@@ -230,7 +242,7 @@ class Newton:
         So that a path is the same to the last digit whatever was solved before it.
         """
         self.options.resume()
-        if self.tangent.begin():
+        if self.tangent.begin() or self.tangent.kept.used:
             self.runs.remake()
         self.tangent.kept.begin()
         self.criteria.begin()

@@ -31,22 +31,16 @@ class SolverOptions:
     Args:
         prefix: Prefix that the user writes, as in ``-variform_snes_monitor``.
         options: Options of the call, without prefix.
-        apart: Beginning of the names that belong to another solver of the same prefix.
 
     Attributes:
         prefix: The solver's own prefix, as ``variform_1_``, for PETSc's objects.
         user: What the user set, by names without prefix.
     """
 
-    def __init__(
-        self, prefix: str, options: Mapping[str, Any] | None = None, apart: str = ""
-    ) -> None:
+    def __init__(self, prefix: str, options: Mapping[str, Any] | None = None) -> None:
         self.prefix = f"{prefix}{next(_numbers)}_"
         _insert_file()
-        outside = {**_stored(prefix, apart), **_command_line(prefix)}
-        if apart:
-            outside = {k: v for k, v in outside.items() if not k.startswith(apart)}
-        self.user = {**(options or {}), **outside}
+        self.user = {**(options or {}), **_stored(prefix), **_command_line(prefix)}
         self._present: dict[str, Any] = {}
         self._used: set[str] = set()
 
@@ -90,14 +84,13 @@ class SolverOptions:
         self._used |= {n for n in self._present if _petsc.option_was_used(self.prefix + n)}
 
 
-def _stored(prefix: str, apart: str) -> dict[str, str]:
+def _stored(prefix: str) -> dict[str, str]:
     """Options with the prefix in PETSc's database, but for those of solvers alive."""
     found = {}
     for name in PETSc.Options(prefix).getAll():
         alive = name.split("_")[0].isdigit()
-        others = bool(apart) and name.startswith(apart)
         # What getAll splits at blanks are no names; asking for one marks it as used.
-        if not (alive or others) and PETSc.Options().hasName(prefix + name):
+        if not alive and PETSc.Options().hasName(prefix + name):
             found[name] = PETSc.Options().getString(prefix + name, "")
     return found
 

@@ -8,10 +8,12 @@ supports the last one of each communicator is kept, and found while these are th
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
+import numpy as np
 from dolfinx import fem
 
 from ..problems import Problem
@@ -72,12 +74,20 @@ def newton_for(
     ctol: float,
     projection: str,
     settings: Settings | None,
+    factorized: bool = False,
 ) -> Newton:
-    """A problem's solver with these settings, as if it were new. Collective."""
+    """A problem's solver with these settings, as if it were new. Collective.
+
+    With ``factorized`` the preset is MUMPS at any size, for paths past limit points, where the
+    tangent is indefinite.
+    """
+    settings = settings or Settings()
+    if factorized:
+        most = {kind: np.iinfo(np.int64).max for kind in settings.split_from}
+        settings = replace(settings, direct_up_to=np.iinfo(np.int64).max, split_from=most)
     if problem in _in_use:
         return Newton(problem, options, prefix, rtol, ctol, projection, settings)
-    asked = SolverOptions(prefix, options, apart="bordered_").user
-    settings = settings or Settings()
+    asked = SolverOptions(prefix, options).user
     given = (prefix, rtol, ctol, projection, asked, settings)
     if problem.solver is not None and problem.solver[0] != given:
         problem.destroy()

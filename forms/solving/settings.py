@@ -22,6 +22,8 @@ class Settings:
         most_damped: Those of one that lowers the energy along damped steps; a sheet of wrinkles
             that turns slack and taut takes its time.
         most_near: Those of a damped one that lowers |R|.
+        creeping: Iterations of a search by |R| in a row, each of which leaves more than a fraction
+            of it, after which full steps are tried.
         ruined: Fraction of the eigenvalues that are negative above which a start is no neighbor of
             any equilibrium and is projected at once. A tenth is negative where a throw of the
             nodes by a tenth of the cells has inverted some; a buckled body has a few.
@@ -43,16 +45,25 @@ class Settings:
         below: The last linear solve aims at this fraction of the goal, if ``digits`` are enough.
         digits: Digits of a linear solve that are enough for the last Newton step.
         loosest: Largest relative tolerance of a linear solve.
-        easy: Newton iterations up to which the next load step grows.
+        exact: Relative tolerance of linear solves within a path.
+        settle: Part of the tolerance of corrections that those of a path by kept factors reach.
+        aim: First contraction that the next step of a path is to have.
+        refuse: Contraction above which a step of a path is refused.
+        reuse: Contraction up to which a tangent's factors are kept for the next correction.
+        grow: Largest ratio of a step to the one before.
+        shrink: Least ratio after a step that was refused, and largest.
+        most_tangents: Tangents of a step, at most.
         remembered: States that the next one is extrapolated from.
-        bent: Distance of the parabola from the line, over the step, from which on a path is no
-            smooth curve.
+        critical: Step, over the whole way, from which on a change of stability is passed.
+        jump: Part of a step's work by which the energy may miss what loads and supports can do.
+        doubt: Difference of two integration rules over a step's work that calls for a smaller one.
     """
 
     near: float = 1e-3
     most: int = 30
     most_damped: int = 200
     most_near: int = 12
+    creeping: tuple[int, float] = (3, 0.8)
     ruined: float = 0.05
     light: float = 1e-8
     ladder: tuple[Way, ...] = LADDER
@@ -68,9 +79,18 @@ class Settings:
     below: float = 0.3
     digits: int = 4
     loosest: float = 0.1
-    easy: int = 5
-    remembered: int = 3
-    bent: float = 0.25
+    exact: float = 1e-4
+    settle: float = 1e-2
+    aim: float = 0.15
+    refuse: float = 0.5
+    reuse: float = 0.1
+    grow: float = 2.0
+    shrink: tuple[float, float] = (0.1, 0.5)
+    most_tangents: int = 8
+    remembered: int = 6
+    critical: float = 1e-3
+    jump: float = 0.02
+    doubt: float = 0.01
 
     def __post_init__(self) -> None:
         if not all(isinstance(way, Way) for way in self.ladder):

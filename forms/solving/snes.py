@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -20,6 +20,7 @@ from .settings import Settings
 from .tangents import Tangent
 
 CONVERGED, NOT_FINITE = 2, -4  # SNES_CONVERGED_FNORM_ABS, SNES_DIVERGED_FNORM_NAN
+Callbacks = tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any], Callable[..., Any]]
 
 
 class Run(NamedTuple):
@@ -49,6 +50,7 @@ class Runs:
         merit: What the present run lowers.
         until: Fraction of the force level at which a run that lowers the energy ends.
         ruined: Whether the last run ended because its start was ruined.
+        patient: Whether a search by |R| may creep.
         snes: SNES of the first merit.
     """
 
@@ -66,6 +68,7 @@ class Runs:
         self.b = problem.create_vector()
         self.x, self._before = self.b.duplicate(), self.b.duplicate()
         self.merit, self.until, self.ruined = Merit.ENERGY, settings.near, False
+        self.patient = True
         self._known: tuple[np.ndarray, float] | None = None
         self._history: list[float] = []
         self._resumed = False
@@ -78,6 +81,7 @@ class Runs:
             "snes_max_it": str(self._settings.most),
             "snes_divergence_tolerance": "-1",
         }
+        self._path: PETSc.SNES | None = None
         self.tangent.configure(base)
         self.snes = self._create(None)
         ksp = self.snes.getKSP()
@@ -93,12 +97,51 @@ class Runs:
         self.tangent.attach(ksp)
 
     def _create(self, ksp: PETSc.KSP | None) -> PETSc.SNES:
+        callbacks = self._residual, self._jacobian, self._test, self._check_step
+        matrices = self.tangent.product, self.tangent.A
+        return self._with_options(callbacks, self.b, matrices, ksp)
+
+    def create(
+        self,
+        callbacks: Callbacks,
+        vector: PETSc.Vec,
+        matrices: tuple[PETSc.Mat, PETSc.Mat],
+        ksp: PETSc.KSP,
+    ) -> PETSc.SNES:
+        """SNES with the user's options and full steps, if no other line search was chosen.
+
+        On the tangent's own linear solver it is the same one for every path of the problem.
+
+        Args:
+            callbacks: Function, Jacobian, convergence test, check of a step.
+            vector: Of the layout of its state.
+            matrices: The operator, and that of which a preconditioner is built.
+            ksp: Its linear solver.
+        """
+        own = ksp.handle == self.snes.getKSP().handle
+        if own and self._path is not None:
+            _call(self._path, callbacks, self._path.getFunction()[0], matrices)
+            return self._path
+        mine = "snes_linesearch_type" not in self._options.user
+        if mine:
+            self._options["snes_linesearch_type"] = "basic"
+        snes = self._with_options(callbacks, vector, matrices, ksp)
+        if mine:
+            self._options["snes_linesearch_type"] = "bt"
+        if own:
+            self._path = snes
+        return snes
+
+    def _with_options(
+        self,
+        callbacks: Callbacks,
+        vector: PETSc.Vec,
+        matrices: tuple[PETSc.Mat, PETSc.Mat],
+        ksp: PETSc.KSP | None,
+    ) -> PETSc.SNES:
         snes = PETSc.SNES().create(self.problem.comm)
         snes.setOptionsPrefix(self._options.prefix)
-        snes.setFunction(self._residual, self.b.duplicate())
-        snes.setJacobian(self._jacobian, self.tangent.product, self.tangent.A)
-        snes.setConvergenceTest(self._test)
-        snes.setLineSearchPreCheck(self._check_step)
+        _call(snes, callbacks, vector.duplicate(), matrices)
         if ksp is not None:
             snes.setKSP(ksp)
         try:
@@ -111,9 +154,12 @@ class Runs:
     def remake(self) -> None:
         """Make SNES and its linear solver anew. Collective."""
         self.tangent.detach()
-        for snes in self._solvers.values():
+        for snes in self._all():
             snes.destroy()
         self._make()
+
+    def _all(self) -> list[PETSc.SNES]:
+        return [*self._solvers.values(), *([] if self._path is None else [self._path])]
 
     @property
     def solvers(self) -> list[PETSc.SNES]:
@@ -211,11 +257,15 @@ class Runs:
         """Shorten a step that a term forbids; whether it was changed. Collective."""
         if len(self.problem.terms) == 1:  # forms bound no step
             return False
-        self.b.pointwiseMult(step, self.tangent.scaled.D)
-        self.b.scale(-1)  # SNES takes x - step
-        fraction = self.problem.largest_step(self.b)
+        fraction = self.allowed(step)
         step.scale(min(fraction, 1.0))
         return fraction < 1
+
+    def allowed(self, step: PETSc.Vec) -> float:
+        """Fraction of a scaled step that no term forbids. Collective."""
+        self.b.pointwiseMult(step, self.tangent.scaled.D)
+        self.b.scale(-1)  # SNES takes x - step
+        return self.problem.largest_step(self.b)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """SNES's convergence test: 0 to go on, else a code of :class:`Failure` or PETSc."""
@@ -245,9 +295,33 @@ class Runs:
         if iteration == 1 and energetic and self._is_ruined():
             self.ruined = True
             return Failure.NO_DESCENT
+        if self._creeps():
+            return Failure.CREEPING
         return Failure.USED_UP if iteration >= snes.getTolerances()[3] else 0
+
+    def _creeps(self) -> bool:
+        """Whether a search by |R| has lowered it by little in each of its last iterations."""
+        count, slow = self._settings.creeping
+        if self.patient or self.merit is not Merit.RESIDUAL or len(self._history) <= count:
+            return False
+        last = np.array(self._history[-count - 1 :])
+        return bool(np.all(last[1:] > slow * last[:-1]))
 
     def destroy(self) -> None:
         """Free the PETSc objects, whose callbacks refer to this one."""
-        for item in (*self._solvers.values(), self.b, self.x, self._before):
+        for item in (*self._all(), self.b, self.x, self._before):
             item.destroy()
+
+
+def _call(
+    snes: PETSc.SNES,
+    callbacks: Callbacks,
+    vector: PETSc.Vec,
+    matrices: tuple[PETSc.Mat, PETSc.Mat],
+) -> None:
+    """Have SNES call these functions."""
+    function, jacobian, test, check = callbacks
+    snes.setFunction(function, vector)
+    snes.setJacobian(jacobian, *matrices)
+    snes.setConvergenceTest(test)
+    snes.setLineSearchPreCheck(check)

@@ -14,7 +14,8 @@ from tqdm import tqdm
 from ..files.checkpoint import Archive, Saved
 from ..paths import Convergence, Path, Step, recorded
 from ..problems import Problem
-from .progress import bar_of
+from ..validity import Bounds
+from .progress import bar_of, watcher_of
 from .supported import failure
 
 
@@ -25,12 +26,16 @@ class Control(Protocol):
         path: The path that it leads along.
         word: Of the progress bar; ``total`` its length, None where it is open.
         symbol: Of the load factor.
+        why: Why the last state was refused, in words.
+        bounds: Of the smallest volume ratio of the last accepted state, where they are known.
     """
 
     path: Path
     word: str
     total: float | None
     symbol: str
+    why: str
+    bounds: Bounds | None
 
     @property
     def load(self) -> float:
@@ -55,6 +60,9 @@ class Control(Protocol):
 
         None where it is on the way to a step, or is refused after all.
         """
+
+    def watch(self, watcher: Callable[[float, float], None] | None) -> None:
+        """Have a function called with |R| and its goal at each iteration."""
 
     def stepped(self) -> None:
         """The step is in the path: see whether that is at its end."""
@@ -92,7 +100,7 @@ def advance(
         record: Functions of the problem, evaluated after each step and kept.
         on_step: Called with the path after each step.
         archive: Checkpoints; a path of an earlier run is taken up from them.
-        progress: Whether a bar is shown on rank 0.
+        progress: Whether a bar is shown on rank 0, and in the end how it went.
 
     Returns:
         The control's path, whatever it ended by noted in it.
@@ -104,6 +112,7 @@ def advance(
     """
     path, start = control.path, time.perf_counter()
     bar = bar_of(control.word, control.total, path.problem.comm, progress)
+    control.watch(watcher_of(bar, lambda: f"{control.symbol} = {control.load:.4g}"))
 
     def save(now: bool) -> None:
         path.seconds = time.perf_counter() - start
@@ -134,7 +143,7 @@ def advance(
                 outcome, notes = step
                 path.problem.commit()
                 notes |= recorded(record, path.problem)
-                path.steps.append(Step(control.load, outcome, notes))
+                path.steps.append(Step(control.load, outcome, notes, control.bounds))
                 control.stepped()
                 bar.update(control.done - bar.n)
                 words = f"{control.symbol} = {control.load:.4g}, {outcome.iterations} iterations"
@@ -149,14 +158,17 @@ def advance(
                 if sentence:
                     save(now=True)
                     raise failure(path, sentence, advice)
-                bar.set_postfix_str(f"step halved ({outcome.reason})")
+                bar.set_postfix_str(f"a shorter step: {control.why}")
         path.end(control.ended)
+        if progress:
+            _say(bar, path, path.reason)
     except KeyboardInterrupt:
         if archive is not None and path.steps:
             _say(bar, path, f"Interrupted: the last checkpoint is in {archive.folder}.")
         raise
     finally:
         control.restore()
+        control.watch(None)
         path.problem.rollback()
         control.release(bool(path.reason) and bool(control.ended))
         bar.close()

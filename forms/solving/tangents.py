@@ -41,6 +41,7 @@ class Tangent:
         left_multigrid: Whether MUMPS has taken the place of multigrid.
         ksp: SNES's linear solver.
         kept: How long its preconditioner is kept.
+        count: Tangents that were assembled so far.
     """
 
     kept: Kept
@@ -59,6 +60,7 @@ class Tangent:
         self.scaled = Scaled(problem, self.A)
         self.projecting = self.spoiled = self.left_multigrid = False
         self.damping: Damping | None = None
+        self.count = 0
         self._action: Action | None = None
         self.preset = presets.preset(problem, self.A, settings)
         if problem.minimization and problem.is_displacement:
@@ -113,6 +115,7 @@ class Tangent:
 
     def use(self) -> None:
         """Damp the assembled tangent if need be, and hand it to the linear solver. Collective."""
+        self.count += 1
         self.spoiled = not self.scaled.is_finite()
         if self.spoiled:
             # MUMPS and GAMG would raise in the midst of SNES.

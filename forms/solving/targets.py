@@ -13,9 +13,10 @@ from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, check_record
 from ..problems import Problem
 from ..supports import Support
-from .bordered import Bordered, scalar
+from .border import Border, scalar
 from .controls.target import Targets
-from .reuse import problem_for
+from .reuse import newton_for, problem_for, release
+from .settings import Settings
 from .stepping import advance
 
 
@@ -28,9 +29,12 @@ def control(
     targets: Sequence[float] = (),
     *,
     virtual_work: ufl.Form | None = None,
+    options: Mapping[str, Any] | None = None,
+    prefix: str = "variform_",
     rtol: float = 1e-8,
     ctol: float = 1e-6,
-    max_iterations: int = 30,
+    settings: Settings | None = None,
+    refuse_inverted: bool = False,
     record: Mapping[str, Callable[[Problem], Any]] | None = None,
     on_step: Callable[[Path], None] | None = None,
     checkpoint: Checkpoint | None = None,
@@ -52,10 +56,13 @@ def control(
             perhaps of q: ``q * enclosed_volume(u)`` is an enclosed ideal gas, p V = n R T.
         targets: Its values, one step each.
         virtual_work: Linear form added to the residual, for loads without a potential.
+        options: PETSc options over the presets, without prefix.
+        prefix: Prefix of the options on the command line, which wins over ``options``.
         rtol: Tolerance of |R_free| relative to the force level, and of the functional relative to
             its target (or to its change from the start, where the target is 0).
         ctol: Tolerance of the last correction relative to the model's size.
-        max_iterations: Newton iterations per step.
+        settings: Numbers that the solver and the steps are tuned by.
+        refuse_inverted: Refuse steps to states where J > 0 everywhere is not certain.
         record: Functions of the problem, evaluated after each step.
         on_step: Called with the path after each step.
         checkpoint: Where the path is saved, and taken up when the script is started again; see
@@ -79,8 +86,13 @@ def control(
         )
     problem = problem_for(potential, u, supports, virtual_work)
     archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of control")
-    bordered = Bordered(problem, q, rtol, ctol, max_iterations)
-    path = Path(problem.u, problem, begin=bordered.load)
-    with bordered.kept_if_sound():
-        along = Targets(path, bordered, functional, targets)
+    newton = newton_for(problem, options, prefix, rtol, ctol, "never", settings, factorized=True)
+    path = Path(problem.u, problem, begin=float(q.value))
+    try:
+        border = Border(problem, [q], newton.tangent)
+        along = Targets(path, newton, border, functional, targets)
+        along.refuse_inverted = refuse_inverted
+    except BaseException:
+        release(newton, sound=False)
+        raise
     return advance(along, record, on_step, archive, progress)

@@ -1,246 +1,264 @@
 # SPDX-License-Identifier: MIT
-"""Load steps: the load factor goes to its last value, in steps halved where one fails."""
+"""Load steps: the load factor goes its way, and the path of equilibria with it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from dolfinx import fem
 
 from ...files.checkpoint import Saved
-from ...paths import Convergence, Path
-from ...problems import Problem
+from ...ledger import JUMP, KINK, ORDINARY, START
+from ...paths import Convergence, Event, Path
+from ...programs import kinks
+from ..certificates import certified_volume
+from ..corrector import Corrector
+from ..extrapolation import State
 from ..newton import Newton
-from ..reuse import release
+from ..pace import Pace
+from ..settings import Settings
+from .continuation import Continuation
+
+PIECES = 4  # steps of a smooth piece, at least
+LEAST = 1e-4  # of the way, below which a step ends the path
 
 
-@dataclass
-class Walk:
-    """Lengths of load steps: halved on failure, grown by half after an easy step."""
+class End(NamedTuple):
+    """End of a piece of the way: its place, load factor, direction; whether loads bend there."""
 
-    begin: float
-    end: float
-    ahead: float
-    least: float
-    most: float
-    done: float = 0.0
-
-    @classmethod
-    def start(
-        cls, begin: float, end: float, step: float | None, least: float | None, most: float | None
-    ) -> Walk:
-        """Steps with their defaults; refuses lengths that are not positive."""
-        way = abs(end - begin)
-        if way == 0:
-            raise ValueError(f"the load factor is at {end} already: use solve, or another to=.")
-        first = way / 10 if step is None else step
-        least = way / 1000 if least is None else least
-        most = 2 * first if most is None else most
-        if not (np.isfinite(way) and min(first, least, most) > 0):
-            raise ValueError(
-                f"load steps must be positive and the way finite, got step = {first}, min_step = "
-                f"{least}, max_step = {most} from {begin} to {end}."
-            )
-        return cls(begin, end, first, min(least, first), max(most, first))
-
-    @property
-    def finished(self) -> bool:
-        """Whether the way is done."""
-        return self.done >= abs(self.end - self.begin)
-
-    @property
-    def fraction(self) -> float:
-        """Share of the way that is done."""
-        return min(self.done / abs(self.end - self.begin), 1.0)
-
-    def aim(self) -> float:
-        """Load factor of the next step, the last one exactly."""
-        left = abs(self.end - self.begin) - self.done
-        # A remainder that is only rounding would become a step of its own.
-        if left <= self.ahead * (1 + 1e-9):
-            self.ahead = left
-            return self.end
-        return self.begin + np.sign(self.end - self.begin) * (self.done + self.ahead)
-
-    def advance(self, easily: bool) -> None:
-        """A step has converged."""
-        self.done += self.ahead
-        if easily:
-            self.ahead = min(self.most, 1.5 * self.ahead)
-
-    def halve(self) -> bool:
-        """A step has failed; whether a smaller one may be tried."""
-        self.ahead /= 2
-        return self.ahead >= self.least
-
-    def resume(self, saved: Mapping[str, float]) -> None:
-        """Go on from the numbers of an earlier walk; refuses one of another way."""
-        if saved["begin"] != self.begin:
-            raise ValueError(
-                f"the checkpoint's path began at load factor {saved['begin']:.6g}, this one begins "
-                f"at {self.begin:.6g}: give each path a folder of its own."
-            )
-        way, done = self.end - self.begin, saved["done"] * np.sign(saved["end"] - self.begin)
-        if not 0 < done / way <= 1 + 1e-9:
-            raise ValueError(
-                f"the checkpoint is at load factor {self.begin + done:.6g}, which is not on the "
-                f"way from {self.begin:.6g} to {self.end:.6g}: start anew, or go further."
-            )
-        self.done, self.ahead = saved["done"], min(max(saved["ahead"], self.least), self.most)
+    place: float
+    load: float
+    direction: float
+    kink: bool
 
 
-class State(NamedTuple):
-    """Values of the unknown, ghosts included, and how far along the way they belong."""
+class LoadSteps(Continuation):
+    """From load to load; the place is how far the load factor has come.
 
-    values: np.ndarray
-    done: float
-
-
-class LoadSteps:
-    """Newton's method from load to load, each state extrapolated from the last ones.
+    Out of a singular start, as a flat sheet's, and over a jump on purpose the energy is minimized
+    (:class:`forms.solving.newton.Newton`), and such a step is a row of its own in the ledger.
 
     Args:
         path: Path of the problem.
         newton: Its solver.
         t: Load factor.
-        walk: Lengths of the steps.
-        prefix: Prefix of PETSc's options, for advice.
+        to: Where it goes, one value after the other.
+        pace: Lengths of the steps.
+        jump: Whether the path goes on where no equilibrium is connected.
     """
 
-    word, symbol = "load", "t"
-    total: float | None = 1.0
-
     def __init__(
-        self, path: Path, newton: Newton, t: fem.Constant, walk: Walk, prefix: str
+        self,
+        path: Path,
+        newton: Newton,
+        t: fem.Constant,
+        to: Sequence[float],
+        pace: Pace,
+        jump: bool,
     ) -> None:
-        self.path, self.newton, self.t, self.walk, self._prefix = path, newton, t, walk, prefix
-        self.load = float(t.value)
-        self._past = [State(path.u.x.array.copy(), walk.done)]
+        self._begin, self._jump = float(t.value), jump
+        self._ends = _ends(self._begin, to, kinks(path.problem, t))
+        way = self._ends[-1].place
+        super().__init__(path, newton, Corrector(newton), t, pace, way, way)
+        self._first, self._kind, self._singular = pace.ahead, ORDINARY, True
 
     @property
     def done(self) -> float:
         """Share of the way that is done."""
-        return self.walk.fraction
+        return min(self.place / self.way, 1.0)
 
     @property
     def ended(self) -> str:
         """Whether the last load is reached, in words."""
         reached = f"Load factor {self.load:.6g} reached in {len(self.path.steps)} steps"
-        return reached if self.walk.finished else ""
+        return reached if self.place == self.way else ""
+
+    def _next_end(self) -> End:
+        """The end of the piece of the way that is walked on."""
+        return next((end for end in self._ends if end.place > self.place), self._ends[-1])
+
+    @property
+    def direction(self) -> float:
+        """Whether the load factor grows or falls, 1 or -1."""
+        return self._next_end().direction
 
     def begin(self) -> None:
-        """The start need not be in equilibrium: the first step moves on from it."""
+        """Measure the scales, and the forces that the first load makes. Collective."""
+        super().begin()
+        self.aim(self.pace.toward(self.way))
+        b = self.path.problem.create_vector()
+        self.newton.tangent.scaled.residual(b)
+        self.level = float(b.norm())
+        b.destroy()
+        self.restore()
+
+    def next_place(self) -> float:
+        """So far as the pace allows, or the end of a piece exactly."""
+        end = self._next_end().place
+        left = end - self.place
+        step = self.pace.toward(left)
+        return end if step >= left else self.place + step
+
+    def aim(self, goal: float) -> None:
+        """Set the load factor, and the supports' values. Collective."""
+        place, load = 0.0, self._begin
+        for end in self._ends:
+            if goal < end.place:
+                load += end.direction * (goal - place)
+                break
+            place, load = end.place, end.load
+        self.q.value = load
+        for support in self.path.problem.supports:
+            support.update()
 
     def propose(self) -> Convergence:
         """Solve at the next load, from the extrapolated state. Collective."""
-        self.t.value = self.walk.aim()
-        place = self.walk.done + self.walk.ahead
-        extrapolate(self.path.problem, self._past, place, self.newton.settings.bent)
-        return attempt(self.newton)
+        if self._kind == ORDINARY:
+            outcome = super().propose()
+            if outcome.converged or not (self.corrector.singular and self._singular):
+                return outcome
+            self.restore()
+            if self.is_unheld():
+                return outcome
+            self._kind = START
+        self._goal, self._why = self.next_place(), ""
+        self.aim(self._goal)
+        self.newton.predict()
+        return self.newton.solve()
 
-    def accept(self, outcome: Convergence) -> tuple[Convergence, dict[str, Any]]:
-        """Remember the state for the next ones."""
-        settings = self.newton.settings
-        self.load = float(self.t.value)
-        place = self.walk.done + self.walk.ahead
-        self._past = [State(self.path.u.x.array.copy(), place), *self._past]
-        del self._past[settings.remembered :]
-        self.walk.advance(outcome.iterations <= settings.easy)
-        return outcome, {}
+    def accept(self, outcome: Convergence) -> tuple[Convergence, dict[str, Any]] | None:
+        """Certify a state; one that minimizes the energy is a row of its own. Collective."""
+        if self._kind == ORDINARY:
+            taken = super().accept(outcome)
+            if taken is not None:
+                self._singular = False
+                if any(end.kink and end.place == self.place for end in self._ends[:-1]):
+                    del self._past[1:]  # what comes is no continuation of this curve
+                    # The ledger integrates over each smooth piece by itself.
+                    piece = self._next_end().place - self.place
+                    self.pace.ahead = min(self.pace.ahead, piece / PIECES)
+                    self._read_behind()
+            return taken
+        kind, self._kind = self._kind, ORDINARY
+        self._singular = kind == START
+        if self._accounts is not None:
+            self._reading = self._accounts.read(self._goal, self.direction, self.side())
+        before, self.count = self.count, outcome.negative
+        if self.count is None and self.path.problem.symmetric:
+            self.count = self.corrector.refactor()
+        self.bounds = certified_volume(self.path.problem)
+        state = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
+        known = self.path.balances
+        self.take(state, outcome, kind)
+        if kind == JUMP:
+            released = self.path.ledger[-1].unaccounted if len(known) > 1 else None
+            self.path.events.append(Event(self.load, "jump", before, self.count, released))
+        self.pace.ahead = self.pace.step
+        return replace(outcome, tangents=self.spent()), {}
 
-    def stepped(self) -> None:
-        """The steps alone tell the end."""
+    def _read_behind(self) -> None:
+        """Read the powers behind a kink. Collective."""
+        if self._accounts is not None and self.path.balances:
+            behind = self._accounts.read(self.place, self.direction, self.direction)
+            self.path.balances.append(behind._replace(kind=KINK))
+            self._accounts.cut()
+
+    def side(self) -> float:
+        """That from which the load comes, where it stops or turns."""
+        return -self.direction if self._goal == self._next_end().place else 0.0
 
     def refuse(self, outcome: Convergence) -> tuple[str, str]:
-        """Halve the step; what to say where it is too short."""
-        self.restore()
-        if self.walk.halve():
+        """Try a shorter step; from a singular start, or over a jump, minimize the energy."""
+        if self._kind != ORDINARY:
+            self.count_tangents()
+            self.restore()
+            if self.pace.refuse(np.inf, 2):
+                return "", ""
+            return self.ending(outcome)
+        said = super().refuse(outcome)
+        if not said[0] or (not self.path.steps and self.is_unheld()):
+            return said
+        if self._singular:
+            self._kind, self.pace.ahead = START, self._first
             return "", ""
-        return (
-            f"{outcome.sentence()}, at load factor {self.load:.6g} even for a step of "
-            f"{2 * self.walk.ahead:.3g}. The last converged state is kept.",
-            outcome.advice
-            or f"Try a smaller min_step; -{self._prefix}snes_monitor shows each iteration.",
-        )
+        if self._jump:
+            self._kind = JUMP  # by little, so that the new branch does little work on the way
+            self.pace.ahead = self.settings.critical * self.way
+            return "", ""
+        return said
 
-    def restore(self) -> None:
-        """Put the last converged state back."""
-        self.path.u.x.array[:] = self._past[0].values
-        self.t.value = self.load
+    def ending(self, outcome: Convergence) -> tuple[str, str]:
+        """What to say where no shorter step succeeds."""
+        sentence, advice = super().ending(outcome)
+        if self.path.problem.has_energy and not advice:
+            advice = "Go on with forms.arc_length, or with jump=True to the next state at rest."
+        return sentence, advice
 
     def memory(self) -> tuple[list[np.ndarray], dict[str, Any]]:
-        """The last states, and the lengths of the steps."""
-        places = [state.done for state in self._past]
-        numbers = {**vars(self.walk), "places": places, "newton": self.newton.tangent.memory()}
-        return [state.values for state in self._past], numbers
-
-    def saved(self) -> None:
-        """The run that is taken up has no preconditioner either."""
-        self.newton.tangent.kept.renew()
+        """The last states, the numbers, and the way."""
+        states, numbers = super().memory()
+        return states, {**numbers, "begin": self._begin, "singular": self._singular}
 
     def resume(self, saved: Saved) -> None:
-        """Go on where a checkpoint holds the path. Collective."""
-        first = replace(self.walk).aim()
-        self.walk.resume(saved.control)
-        if not self.walk.finished:
-            # Newton takes its reference levels from the first step: it has to see that one again.
-            self.t.value = first
-            _predict(self.newton)
-            self.newton.recall(saved.control["newton"])
-            self.newton.tangent.kept.renew()
-        self.load = self.path.load
-        places = saved.control["places"]
-        self._past = [State(*s) for s in zip(saved.states, places, strict=True)]
-        self.restore()
+        """Go on where a checkpoint holds the path; one of another way is refused. Collective."""
+        numbers = saved.control
+        if numbers["begin"] != self._begin:
+            raise ValueError(
+                f"the checkpoint's path began at load factor {numbers['begin']:.6g}, this one "
+                f"begins at {self._begin:.6g}: give each path a folder of its own."
+            )
+        place, load = numbers["places"][0], numbers["loads"][0]
+        self.aim(place)
+        if place > self.way or abs(float(self.q.value) - load) > 1e-9 * self.way:
+            way = ", ".join(f"{end.load:.6g}" for end in self._ends)
+            raise ValueError(
+                f"the checkpoint is at load factor {load:.6g}, which is not on the way from "
+                f"{self._begin:.6g} to {way}: start anew, or go further."
+            )
+        super().resume(saved)
+        self._singular = numbers["singular"]
 
-    def release(self, sound: bool) -> None:
-        """Give the solver back. Collective."""
-        release(self.newton, sound)
+
+def _ends(begin: float, to: Sequence[float], bends: Sequence[float]) -> list[End]:
+    """Pieces of the way: between the values that it is to go to, and kinks of the loads."""
+    ends, place, load = [], 0.0, begin
+    for n, value in enumerate(to):
+        direction = float(np.sign(value - load))
+        between = sorted(b for b in bends if (b - load) * (value - b) > 0)
+        for bend in between[:: int(direction)]:
+            place, load = place + abs(bend - load), bend
+            ends.append(End(place, load, direction, True))
+        place, load = place + abs(value - load), value
+        turns = n + 1 < len(to) and (to[n + 1] - value) * direction < 0
+        ends.append(End(place, load, direction, turns or value in bends))
+    return ends
+
+
+def pace_of(
+    way: float,
+    step: float | None,
+    least: float | None,
+    most: float | None,
+    settings: Settings,
+) -> Pace:
+    """Lengths of load steps with their defaults; refuses lengths that are not positive."""
+    most = np.inf if most is None else most
+    first = min(way / 10, most) if step is None else step
+    least = way * LEAST if least is None else least
+    if not (np.isfinite(way) and min(first, least, most) > 0):
+        raise ValueError(
+            f"load steps must be positive and the way finite, got step = {first}, min_step = "
+            f"{least}, max_step = {most} over a way of {way}."
+        )
+    return Pace(first, min(least, first), max(most, first), settings)
 
 
 def attempt(newton: Newton) -> Convergence:
     """One Newton solve at the present load, boundary values carried along first. Collective."""
-    _predict(newton)
-    return newton.solve()
-
-
-def _predict(newton: Newton) -> None:
     for support in newton.problem.supports:
         support.update()
     newton.predict()
-
-
-def extrapolate(problem: Problem, past: Sequence[State], to: float, bent: float) -> None:
-    """Move u on along the curve through the last states, if the energy stays finite there.
-
-    Along the parabola through three of them where it bends little, else along the line through two.
-    """
-    u, last = problem.u.x.array, past[0].values
-    guesses = [_through(past[:count], to) for count in range(2, len(past) + 1)]
-    if len(guesses) == 2:
-        line, curve = guesses
-        dofmap = problem.u.function_space.dofmap
-        owned = slice(dofmap.index_map.size_local * dofmap.bs)
-        squares = [float(d @ d) for d in ((curve - line)[owned], (line - last)[owned])]
-        bend, way = problem.comm.allreduce(np.array(squares))
-        if bend > bent**2 * way:
-            guesses.pop()
-    for guess in reversed(guesses):
-        u[:] = guess
-        if not problem.has_energy or np.isfinite(problem.energy()):
-            return
-    u[:] = last
-
-
-def _through(states: Sequence[State], to: float) -> np.ndarray:
-    """Value at a place of the polynomial through states (Lagrange)."""
-    places = [s.done for s in states]
-    result = np.zeros_like(states[0].values)
-    for state in states:
-        others = [place for place in places if place != state.done]
-        weight = np.prod([(to - place) / (state.done - place) for place in others])
-        result += weight * state.values
-    return result
+    return newton.solve()

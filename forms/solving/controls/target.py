@@ -16,26 +16,30 @@ from ...files.checkpoint import Saved
 from ...paths import Convergence, Path
 from ...quadrature import with_quadrature
 from ...variation import residual
-from ..bordered import Bordered, by_constant
+from ..border import Border, Values, by_constant
+from ..corrector import Corrector
+from ..newton import Newton
+from ..pace import Pace
+from .continuation import Continuation
 
-MAX_HALVINGS = 8
+LEAST = 1e-4  # of the way to a target, below which a step ends the path
 
 
 class Held:
     """The constraint functional(u, q) = aim."""
 
-    def __init__(self, bordered: Bordered, functional: ufl.Form) -> None:
-        self.bordered = bordered
-        functional = with_quadrature(functional, bordered.degree)
+    def __init__(self, border: Border, functional: ufl.Form) -> None:
+        self.border = border
+        functional = with_quadrature(functional, border.problem.displacement_degree)
         self._g = compiled(functional)
-        self._g_u = compiled(residual(functional, bordered.problem.u))
-        g_q = by_constant(functional, bordered.q)
-        self._g_q = None if g_q.empty() else compiled(g_q)
+        self._g_u = compiled(residual(functional, border.problem.u))
+        slopes = [by_constant(functional, q) for q in border.q]
+        self._g_q = [None if slope.empty() else compiled(slope) for slope in slopes]
         self.start = self.aim = self.measure()
 
     def measure(self) -> float:
-        """The functional at the present state."""
-        return self.bordered.integral(self._g)
+        """The functional at the present state. Collective."""
+        return self.border.integral(self._g)
 
     @property
     def scale(self) -> float:
@@ -46,33 +50,46 @@ class Held:
         """Distance of the functional from its target. Collective."""
         return self.measure() - self.aim
 
-    def gradient(self, g_u: PETSc.Vec) -> float:
-        """Derivative by u, into a vector; by q. Collective."""
-        self.bordered.assemble(self._g_u, g_u)
-        return self.bordered.integral(self._g_q) if self._g_q is not None else 0.0
+    def gradient(self, g_u: PETSc.Vec) -> Values:
+        """Derivative by u, into a vector; by each q. Collective."""
+        self.border.assemble(self._g_u, g_u)
+        slopes = [0.0 if form is None else self.border.integral(form) for form in self._g_q]
+        return np.array(slopes)
 
 
-class Targets:
-    """From target to target, each approached in halved steps where it fails.
+class Targets(Continuation):
+    """From target to target, over states in between where one step is too long.
+
+    The place is how far the functional has come, there and back included.
 
     Args:
         path: Path of the problem.
-        bordered: Its solver.
+        newton: Its solver.
+        border: With the scalar unknown.
         functional: What is prescribed.
         targets: Its values.
     """
 
     word, symbol = "control", "q"
-    total: float | None
 
     def __init__(
-        self, path: Path, bordered: Bordered, functional: ufl.Form, targets: Sequence[float]
+        self,
+        path: Path,
+        newton: Newton,
+        border: Border,
+        functional: ufl.Form,
+        targets: Sequence[float],
     ) -> None:
-        self.path, self.bordered, self._held = path, bordered, Held(bordered, functional)
-        self.targets, self.total = [float(target) for target in targets], float(len(targets))
-        self.load = bordered.load
-        self._reached, self._part, self._halvings = self._held.start, 1.0, 0
-        self._before = path.u.x.array.copy()
+        self._held = held = Held(border, functional)
+        border.constraints = [held]
+        self.targets = [float(target) for target in targets]
+        ends = np.array([held.start, *self.targets])
+        way = float(np.abs(np.diff(ends)).sum()) or 1.0
+        pace = Pace(way, 0.0, settings=newton.settings)
+        q = border.q[0]
+        self._border, self.total = border, float(len(self.targets))
+        self._from, self._reached, self._started = held.start, 0.0, False
+        super().__init__(path, newton, Corrector(newton, border), q, pace, way, 1.0)
 
     @property
     def done(self) -> float:
@@ -80,59 +97,74 @@ class Targets:
         return float(len(self.path.steps))
 
     @property
+    def _target(self) -> float:
+        return self.targets[len(self.path.steps)]
+
+    @property
     def ended(self) -> str:
         """Whether all targets are reached, in words."""
         count = len(self.path.steps)
         return f"All {count} targets reached" if count == len(self.targets) else ""
 
-    def begin(self) -> None:
-        """Measure the scales at the start, where a run that is taken up measures them, too."""
-        self.bordered.scaled.measure()
+    def next_place(self) -> float:
+        """The target, or so far as the pace allows."""
+        way = abs(self._target - self._from)
+        self.pace.least = LEAST * way
+        left = self._reached + way - self.place
+        step = self.pace.toward(left)
+        return self._reached + way if step >= left else self.place + step
+
+    def aim(self, goal: float) -> None:
+        """Set the constraint."""
+        way, done = self._target - self._from, goal - self._reached
+        end = done >= abs(way) * (1 - 1e-12)
+        self._held.aim = self._target if end else self._from + np.sign(way) * done
+
+    def guess(self, load: float) -> None:
+        """Start from the extrapolated scalar."""
+        if self._order > 1:
+            self.q.value = load
 
     def propose(self) -> Convergence:
         """Solve for the next target, or for a part of the way to it. Collective."""
-        target, held = self.targets[len(self.path.steps)], self._held
-        held.aim = target
-        if self._part < 1:
-            held.aim = self._reached + self._part * (target - self._reached)
-        return self.bordered.solve(held)
+        outcome = super().propose()
+        if outcome.converged or self._started:
+            return outcome
+        # The first step may leave from a singular start, or from one that is not in equilibrium.
+        self.restore()
+        self._goal, self._order = self.next_place(), 2
+        self.aim(self._goal)
+        return self.corrector.solve(self.level, free=True)
 
     def accept(self, outcome: Convergence) -> tuple[Convergence, dict[str, Any]] | None:
         """Take the state; a step where the target itself is reached."""
-        target = self.targets[len(self.path.steps)]
-        self._before, self.load = self.path.u.x.array.copy(), self.bordered.load
-        self._reached, self._part = self._held.aim, 1.0
-        if self._reached != target:
+        taken = super().accept(outcome)
+        if taken is None:
             return None
-        self._halvings = 0
-        return outcome, {"target": target}
+        self._started = True
+        target = self._target
+        if self._held.aim != target:
+            return None
+        turn = len(self.path.steps) + 1 < len(self.targets)
+        ahead = self.targets[len(self.path.steps) + 1] - target if turn else 0.0
+        if ahead * (target - self._from) < 0:
+            del self._past[1:]  # the way leads back
+        self._from, self._reached = target, self.place
+        return taken[0], {"target": target}
 
-    def stepped(self) -> None:
-        """The steps alone tell the end."""
-
-    def refuse(self, outcome: Convergence) -> tuple[str, str]:
-        """Halve the way to the target; what to say where that was done often enough."""
-        self.restore()
-        self._part, self._halvings = self._part / 2, self._halvings + 1
-        if self._halvings <= MAX_HALVINGS:
-            return "", ""
+    def ending(self, outcome: Convergence) -> tuple[str, str]:
+        """What to say where no shorter step succeeds."""
         return (
-            f"{outcome.sentence()}, on the way to {self.targets[len(self.path.steps)]:.6g} from "
-            f"{self._reached:.6g}. The last converged state is kept.",
+            f"{self._why or outcome.sentence()}, on the way to {self._target:.6g} from "
+            f"{self._from:.6g}. The last converged state is kept.",
             outcome.advice or "Give targets that lie closer.",
         )
 
-    def restore(self) -> None:
-        """Put the last converged state back."""
-        self.path.u.x.array[:], self.bordered.q.value = self._before, self.load
-
     def memory(self) -> tuple[list[np.ndarray], dict[str, Any]]:
-        """The last state, and what the functional was there and at the start."""
-        numbers = {"reached": self._reached, "start": self._held.start, "q": self.load}
-        return [self._before], {**numbers, "damping": self.bordered.memory()}
-
-    def saved(self) -> None:
-        """Nothing is kept that a run that is taken up would not have."""
+        """The last states, and where the functional was."""
+        states, numbers = super().memory()
+        ours = {"from": self._from, "reached": self._reached, "start": self._held.start}
+        return states, {**numbers, **ours}
 
     def resume(self, saved: Saved) -> None:
         """Go on where a checkpoint holds the path. Collective."""
@@ -143,11 +175,6 @@ class Targets:
                 f"{self.targets[: len(done)]}: give each path a folder of its own."
             )
         numbers = saved.control
-        self._reached, self._held.start = numbers["reached"], numbers["start"]
-        self._before, self.load = saved.states[0], numbers["q"]
-        self.bordered.recall(numbers["damping"])
-        self.restore()
-
-    def release(self, sound: bool) -> None:
-        """Free the solver. Collective."""
-        self.bordered.destroy()
+        self._from, self._reached = numbers["from"], numbers["reached"]
+        self._held.start, self._started = numbers["start"], True
+        super().resume(saved)

@@ -16,6 +16,7 @@ from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
 TWO_PRODUCTS_UP_TO = 20_000
+PROBED = 1e-3  # relative tolerance of a solve that looks for negative curvature
 
 
 class Kept:
@@ -41,6 +42,8 @@ class Kept:
         stale: Whether the last solve used a preconditioner of an earlier state.
         slow: Whether a factorization would be faster.
         goal: Norm of the forces [N] at which Newton's method is to end; 0 where unknown.
+        exact: Largest relative tolerance of solves within a path, whose contraction is to tell of
+            Newton's method and not of them; infinite elsewhere.
     """
 
     def __init__(
@@ -52,6 +55,8 @@ class Kept:
         user: Mapping[str, Any],
         settings: Any,
     ) -> None:
+        self.exact = np.inf
+        self._probing = False
         self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
         self._levels: OrderMultigrid | None = None
         self._blocks: FieldSplit | None = None
@@ -75,10 +80,12 @@ class Kept:
     def _begin(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Say what is kept, and set the tolerances of this solve. Collective."""
         settings = self._settings
+        if self._probing:
+            return
         ksp.getPC().setReusePreconditioner(self.stale)
         norm = b.norm()
         enough = settings.below * self.goal / norm if norm > 0 else 0.0
-        self._asked = self._rtol
+        self._asked = min(self._rtol, self.exact) if self._own[0] else self._rtol
         if self._own[0] and enough >= 10.0**-settings.digits:
             self._asked = min(enough, settings.loosest)
         most = self._most
@@ -117,7 +124,7 @@ class Kept:
 
     def count(self) -> None:
         """Take note of the iterations of the linear solve that has just ended."""
-        if not self.used:
+        if not self.used or self._probing:
             return
         each = self._ksp.getIterationNumber() / -np.log10(self._asked)
         self._first = self._first or each
@@ -125,6 +132,28 @@ class Kept:
             self.renew()
         exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
         self.slow = self._small and not self.stale and (each > self._settings.slow or exhausted)
+
+    def sees_negative_curvature(self) -> bool:
+        """Whether CG for a right-hand side without symmetry meets negative curvature. Collective.
+
+        Its Lanczos vectors find an eigenvalue below zero that stands apart, as the preconditioned
+        ones of an unstable body do; where none is seen there need be none.
+        """
+        ksp, A = self._ksp, self._ksp.getOperators()[0]
+        b, x = A.createVecLeft(), A.createVecRight()
+        begin, end = b.getOwnershipRange()
+        b.array[:] = np.sin(1.0 + 0.7 * np.arange(begin, end) ** 1.5)
+        b.array[self._problem.constrained] = 0
+        ksp.getPC().setReusePreconditioner(True)
+        ksp.setTolerances(rtol=PROBED, max_it=self._most)
+        self._probing = True
+        try:
+            ksp.solve(b, x)
+        finally:
+            self._probing = False
+        for item in (b, x):
+            item.destroy()
+        return ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
 
     def destroy(self) -> None:
         """Free the matrices."""

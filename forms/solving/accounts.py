@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Energy and powers at a state of a path, for its ledger."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+
+from ..compilation import compiled
+from ..ledger import NODES, Balance, weights
+from ..problems import Problem
+
+SMALL = 1e-4  # of the load factor's way, for difference quotients
+
+
+class _Virtual(NamedTuple):
+    """Forces of virtual works at a state."""
+
+    place: float
+    u: NDArray[np.float64]
+    forces: NDArray[np.float64]
+
+
+class Accounts:
+    """Reads energy, powers and virtual works' forces at equilibria.
+
+    Powers are central difference quotients by the load factor at fixed u, of the supports'
+    prescribed values and of the potential.
+
+    Args:
+        problem: Problem with a potential.
+        q: Load factor, or another scalar unknown.
+        span: How far q goes, or its size: a measure for difference quotients.
+    """
+
+    def __init__(self, problem: Problem, q: fem.Constant, span: float) -> None:
+        self.problem, self._q, self._h = problem, q, SMALL * span
+        self._explicit = problem.forms.hides_constants
+        self._explicit |= any(c is q for c in problem.forms.constants)
+        self._moving = any(support.depends_on(q) for support in problem.supports)
+        virtual = problem.forms.virtual_work
+        self._virtual = None if virtual is None else compiled(virtual)
+        self._b = problem.create_vector()
+        self._states: list[_Virtual] = []  # of one smooth piece, the latest first
+
+    def read(self, place: float, way: float = 1.0, side: float = 0.0) -> Balance:
+        """Energy and powers at the present state. Collective.
+
+        Args:
+            place: Where it is along the path.
+            way: Change of the load factor by the place, where supports depend on it.
+            side: 1 or -1 for quotients above or below the load factor alone, where it has a kink.
+        """
+        problem, q = self.problem, float(self._q.value)
+        energy, slope, power = problem.energy(), 0.0, 0.0
+        if self._moving:
+            power = self._supports(q, side) * way
+        if self._explicit:
+            for offset, weight in _quotient(side):
+                slope += weight / self._h * self._energy_at(q + offset * self._h)
+        self._q.value = q
+        return Balance(place, q, energy, slope, power)
+
+    def _energy_at(self, q: float) -> float:
+        self._q.value = q
+        return self.problem.energy()
+
+    def _supports(self, q: float, side: float) -> float:
+        """R . du_p/dq. Collective."""
+        problem, held = self.problem, self.problem.constrained
+        velocity = np.zeros(len(held))
+        for offset, weight in _quotient(side):
+            self._q.value = q + offset * self._h
+            for support in problem.supports:
+                support.update()
+            self._b.set(0)
+            problem.prescribe(self._b)
+            velocity += weight / self._h * self._b.array_r[held]
+        self._q.value = q
+        for support in problem.supports:
+            support.update()
+        problem.residual(self._b)
+        return float(problem.comm.allreduce(float(self._b.array_r[held] @ velocity)))
+
+    def chord(self) -> tuple[float, float]:
+        """Work of the virtual works since the state last kept, by the forces there and here."""
+        if self._virtual is None or not self._states:
+            return 0.0, 0.0
+        then = self._states[0]
+        now, state = self._forces()
+        own = [-float(f @ (state - then.u)) for f in (then.forces, now)]
+        before, after = self.problem.comm.allreduce(np.array(own))
+        return float(before), float(after)
+
+    def keep(self, place: float, anew: bool = False) -> list[float]:
+        """Take the present state for the last one of the path. Collective.
+
+        Args:
+            place: Where it is in the ledger.
+            anew: Whether no smooth curve leads here from the states before.
+
+        Returns:
+            Work of the virtual works over the last steps, the latest first, by polynomials through
+            the forces and states of up to six of them.
+        """
+        if self._virtual is None:
+            return []
+        forces, state = self._forces()
+        before = self._states[:1] if anew else self._states[: NODES - 1]
+        nodes = self._states = [_Virtual(place, state, forces), *before]
+        local = np.array([[f.forces @ g.u for g in nodes] for f in nodes])
+        products = self.problem.comm.allreduce(local)
+        x = np.array([node.place for node in nodes])
+        works = [
+            -float(np.sum(weights(x, x[n + 1], x[n])[0] * products)) for n in range(len(x) - 1)
+        ]
+        if anew:
+            del self._states[1:]
+        return works
+
+    def cut(self, kept: int = 1) -> None:
+        """Forget all states but some of the last ones."""
+        del self._states[kept:]
+
+    def _forces(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Virtual works' part of the residual at the present state, and the state; own entries."""
+        b = self._b
+        self.problem.prepare()
+        with b.localForm() as local:
+            local.set(0)
+        assert self._virtual is not None
+        fem_petsc.assemble_vector(b, self._virtual)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        forces = b.array_r.copy()
+        return forces, self.problem.u.x.array[: forces.size].copy()
+
+    def destroy(self) -> None:
+        """Free the vector."""
+        self._b.destroy()
+
+
+def _quotient(side: float) -> tuple[tuple[float, float], ...]:
+    """Places and weights of a difference quotient of second order."""
+    if side == 0:
+        return (1.0, 0.5), (-1.0, -0.5)
+    return (0.0, -1.5 * side), (side, 2.0 * side), (2.0 * side, -0.5 * side)

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: MIT
+"""What is proved of each state of a path, beside its equilibrium and its stability."""
+
+from __future__ import annotations
+
+from ..problems import Problem
+from ..validity import Bounds, can_bound, volume_bounds
+
+
+def certified_volume(problem: Problem) -> Bounds | None:
+    """Bounds of the smallest volume ratio at u; None for elements without. Collective."""
+    return volume_bounds(problem) if can_bound(problem.u) else None

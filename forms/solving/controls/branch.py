@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""Whether a path stays on its branch: its stability is watched, what it passes is located."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from dolfinx import fem
+
+from ...paths import Convergence, Event, Path
+from ..corrector import Corrector
+from ..critical import Critical
+from ..extrapolation import State, slope, through
+from ..newton import Newton
+
+RATES = 4  # states whose load factors' slope is taken
+GAP = 0.4  # distance of states from a bifurcation that is passed, over the critical step
+NOTHING: np.ndarray = np.empty(0)
+
+
+class Branch:
+    """States of a path by their places, and the number of negative eigenvalues along.
+
+    Where the number changes within a step that is not short, the place is located by a secant on
+    the eigenvalue that passes zero, and the path is led there: to a state just before and one just
+    behind. On a smooth branch the eigenvalue is found to change there, and that is an event; where
+    the state behind was on another branch it is not, and the path goes its own way.
+
+    Args:
+        path: Path of the problem.
+        newton: Its solver.
+        corrector: That of the path.
+        q: Load factor, or another scalar unknown.
+        way: Length of the whole way, or a measure of it.
+
+    Attributes:
+        count: Negative eigenvalues at the last state; None where they are not known.
+        level: Force level [N] of the path.
+    """
+
+    def __init__(
+        self, path: Path, newton: Newton, corrector: Corrector, q: fem.Constant, way: float
+    ) -> None:
+        self.path, self.newton, self.corrector, self.q = path, newton, corrector, q
+        self.way, self.settings, self.level = way, newton.settings, 0.0
+        self.count: int | None = None
+        self._critical = Critical(path.problem, q, corrector)
+        self._past = [State(path.u.x.array.copy(), float(q.value), 0.0)]
+        self._goal, self._order = 0.0, 1
+        self._gates: list[float] = []
+        self._resumed_step = 0.0
+        self._located = self._located_before = False
+
+    @property
+    def load(self) -> float:
+        """Load factor of the last accepted state."""
+        return self._past[0].load
+
+    @property
+    def place(self) -> float:
+        """Place of the last accepted state."""
+        return self._past[0].place
+
+    def aim(self, goal: float) -> None:
+        """Set load factor, supports or constraint for a place; to be written. Collective."""
+        raise NotImplementedError
+
+    def look_anew(self) -> None:
+        """Another state is to be found."""
+        self._located_before, self._located = self._located, False
+
+    def pass_gates(self) -> float:
+        """Forget the places that were to be gone through; the step before them, at the last."""
+        while self._gates and abs(self._gates[0] - self.place) <= 1e-9 * self.way:
+            self._gates.pop(0)
+            if not self._gates:
+                return self._resumed_step
+        return 0.0
+
+    def unlike(self, outcome: Convergence) -> str:
+        """Whether the number of negative eigenvalues changes over a step too long. Collective."""
+        count = outcome.negative
+        stable = self.corrector.stable_by_curvature()
+        if stable is False:
+            self.newton.leave_multigrid()
+            count = self.corrector.refactor()
+        elif stable:
+            self.count, count = self.count or 0, 0
+        if count is not None and self.count is not None and count != self.count:
+            count = self.corrector.refactor()  # the factors may be of an iterate before
+        before = self.count
+        if before is None and self._order == 1:
+            before = self.corrector.negative_at_start
+            if count is not None:  # of a tangent at the start, perhaps
+                count = self.corrector.refactor()
+        if count is None or before is None or count == before or not self.path.problem.symmetric:
+            self.count = count
+            return ""
+        here = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
+        step = abs(self._goal - self.place)
+        states = [here, *self._past]
+        if step > self.settings.critical * self.way and self._may_be_another_branch(states):
+            why = f"negative eigenvalues {before} -> {count} within it"
+            if self._located_before:  # not where it was told: halve the step
+                self.put(here)
+                return why
+            place = self._critical.place(states, before, self.settings.critical * self.way / 8)
+            gap = np.sign(self._goal - self.place) * GAP * self.settings.critical * self.way
+            gates = [place - gap, place + gap]
+            between = [g for g in gates if (g - self.place) * (self._goal - g) > 0]
+            self._gates = [g for g in between if abs(g - self.place) > 0.1 * abs(gap)]
+            self._resumed_step, self._located = step, bool(self._gates)
+            self.put(here)
+            return why
+        place = self._critical.place(states, before, 1e-6 * self.way)
+        self.path.events.append(self._event(states, place, before, count))
+        self.put(here)
+        self.count = count
+        return ""
+
+    def _may_be_another_branch(self, states: Sequence[State]) -> bool:
+        """Whether a change of the count calls for short steps: not where the load factor turns."""
+        return self.path.problem.minimization and not self._turned(states)
+
+    def _event(self, states: Sequence[State], place: float, before: int, after: int) -> Event:
+        """A limit point where the load factor turns, else a bifurcation. Collective."""
+        if abs(after - before) == 1 and self._turned(states):
+            return Event(self._extremum(states), "limit point", before, after)
+        return Event(through(states, place)[1], "bifurcation", before, after)
+
+    def _turned(self, states: Sequence[State]) -> bool:
+        """Whether the load factor has an extremum between the first two states."""
+        if len(states) < 3:
+            return False
+        loads = [state._replace(values=NOTHING) for state in states[:RATES]]
+        before = slope([loads[1], loads[0], *loads[2:]])[1]
+        return before * slope(loads)[1] < 0
+
+    def _extremum(self, states: Sequence[State]) -> float:
+        """Load factor at which it turns between the first two states, solved for. Collective."""
+        ends, rising = states[:2], states[1].load > states[2].load
+        place = _turning_place(states, ends, rising)
+        self.aim(place)
+        self.path.u.x.array[:], self.q.value = through(states, place)
+        if self.corrector.solve(self.level).converged:
+            found = State(self.path.u.x.array.copy(), float(self.q.value), place)
+            states = sorted([found, *states], key=lambda state: -state.place)
+            place = _turning_place(states, ends, rising)
+        return through(states, place)[1]
+
+    def put(self, state: State) -> None:
+        """Take a state for the present one. Collective."""
+        self.path.u.x.array[:] = state.values
+        self.q.value = state.load
+        for support in self.path.problem.supports:
+            support.update()
+
+
+def _turning_place(states: Sequence[State], ends: Sequence[State], rising: bool) -> float:
+    """Where, between two of the states, the curve through all has its largest or least load."""
+    loads = [state._replace(values=NOTHING) for state in states]
+    places = np.linspace(ends[1].place, ends[0].place, 4001)
+    q = np.array([through(loads, place)[1] for place in places])
+    return float(places[int(np.argmax(q if rising else -q))])
