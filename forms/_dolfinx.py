@@ -108,7 +108,7 @@ def _components(V: fem.FunctionSpace) -> NDArray[np.int32]:
     """Degrees of freedom of each cell, component by component."""
     bs, nodes = V.dofmap.bs, V.dofmap.list
     components = bs * nodes[:, :, None] + np.arange(bs, dtype=np.int32)
-    return components.reshape(len(nodes), -1)
+    return components.reshape(len(nodes), bs * nodes.shape[1])
 
 
 def create_vector(form: fem.Form) -> Any:
