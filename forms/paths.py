@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from dolfinx import fem
 
-from .ledger import Balance, Ledger, rows
+from .ledger import START, Balance, Ledger, rows
 from .problems import Problem
 from .validity import Bounds
 
@@ -226,7 +226,11 @@ class Path:
         unstable = instability(self.steps)
         if unstable and any(f.role.curvature in "-0" for f in self.problem.fields.values()):
             unstable += ELEMENTS_OWN
-        return f"{passed(self.events)}{unstable}{inverted}"
+        left = sum(balance.kind == START for balance in self.balances)
+        begun = f" {left} of the steps by minimizing the energy, from a singular state." * bool(
+            left
+        )
+        return f"{begun}{passed(self.events)}{unstable}{inverted}"
 
 
 def recorded(record: Mapping[str, Callable] | None, problem: Problem) -> dict[str, Any]:

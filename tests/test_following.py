@@ -351,3 +351,17 @@ def test_multigrid_leads_a_problem_again():
         path = forms.follow(problem, t=t, to=pi / 2, settings=settings, progress=False)
         ends.append((problem.energy(), path.tangents))
     assert ends[1:] == [pytest.approx(ends[0], rel=1e-12)] * 2
+
+
+def test_a_step_out_of_a_singular_start_is_told():
+    """A flat sheet has no stiffness against pressure: the energy is minimized, which is said."""
+    body = meshes.disk(MPI.COMM_SELF, 1.0, 0.3)
+    u, t = forms.displacement(body, 2), forms.load_factor(body)
+    F = forms.membrane_gradient(u)
+    psi = 0.01 * forms.energies.mooney_rivlin(forms.membranes.incompressible_sheet(F), 0.4, 0.1)
+    potential = psi * ufl.dx - 0.01 * t * forms.enclosed_volume(u)
+    held = [forms.clamp(u, body.facets("outer"))]
+    path = forms.follow(potential, u, held, t, progress=False)
+    assert path.completed and [row.kind for row in path.ledger].count("start") == 1
+    assert path.ledger[0].kind == "start" and path.ledger[1].kind == ""
+    assert "1 of the steps by minimizing the energy, from a singular state" in path.reason

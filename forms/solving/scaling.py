@@ -114,6 +114,14 @@ class Scaled:
             springs = EPS * np.sqrt(self.problem.comm.allreduce(float(own @ own)))
         return max(self.rounding, float(springs)) if np.isfinite(springs) else self.rounding
 
+    def unknowable(self) -> float:
+        """Forces [N] that rounding may make at rest, by the stiffest of all entries. Collective.
+
+        A flat sheet's typical entry is as small as rounding itself.
+        """
+        own = float(self._stiffness.max(initial=0.0))
+        return 1e3 * EPS * self.problem.comm.allreduce(own, MPI.MAX) * self.size
+
     def residual(self, b: PETSc.Vec) -> float:
         """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
         self.problem.residual(b)

@@ -91,7 +91,7 @@ class Continuation(Branch):
             scaled.measure()
         b = problem.create_vector()
         reactions = scaled.residual(b)
-        resting = b.norm() <= max(1e-6 * reactions, scaled.floor())
+        resting = b.norm() <= max(1e-6 * reactions, scaled.floor(), scaled.unknowable())
         b.destroy()
         if self._accounts is not None and resting:
             self.path.balances = [self._accounts.read(self.place, self.direction, self.direction)]
