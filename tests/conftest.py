@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,10 @@ def run():
             words = ["mpirun", "-n", str(ranks), *words]
         # tests/ for scenes.py, which scripts import.
         environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
+        # What a killed mpirun leaves in the folder for all would stop a later one of its number.
+        sessions = tempfile.TemporaryDirectory(prefix="mpi", ignore_cleanup_errors=True)
+        if ranks > 1:
+            environment["TMPDIR"] = sessions.name
         process = subprocess.Popen(
             words,
             cwd=cwd,
@@ -111,6 +116,8 @@ def run():
             os.killpg(process.pid, signal.SIGKILL)
             out, err = process.communicate()
             pytest.fail(f"{' '.join(words)} did not end within {LIMIT} s\n{out}{err}")
+        finally:
+            sessions.cleanup()
         if check and process.returncode != 0:
             pytest.fail(f"{' '.join(words)} ended with {process.returncode}\n{out}{err}")
         return subprocess.CompletedProcess(words, process.returncode, out, err)
