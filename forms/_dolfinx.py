@@ -10,8 +10,6 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from mpi4py import MPI
-
 import dolfinx
 import ffcx
 import ffcx.naming
@@ -85,30 +83,9 @@ def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
 
 
 def collapse(view: fem.FunctionSpace) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
-    """Space of a view, and its degrees of freedom in the whole (0.11: a list per cell type).
-
-    Collective.
-
-    Raises:
-        ValueError: the two number the nodes of cells differently, as 0.9's do on tetrahedra of
-            degree 3, so that values would be taken for those of other nodes.
-    """
+    """Space of a view, and its degrees of freedom in the whole (0.11: a list per cell type)."""
     V, numbers = view.collapse()
-    numbers = np.asarray(numbers, dtype=np.int32).ravel()
-    same = bool(np.all(numbers[_components(V)] == _components(view)))
-    if not view.mesh.comm.allreduce(same, MPI.LAND):
-        raise ValueError(
-            f"DOLFINx {dolfinx.__version__} mixes up nodes of {view.ufl_element()} in a mixed "
-            "unknown: take degree 2, or hexahedra."
-        )
-    return V, numbers
-
-
-def _components(V: fem.FunctionSpace) -> NDArray[np.int32]:
-    """Degrees of freedom of each cell, component by component."""
-    bs, nodes = V.dofmap.bs, V.dofmap.list
-    components = bs * nodes[:, :, None] + np.arange(bs, dtype=np.int32)
-    return components.reshape(len(nodes), bs * nodes.shape[1])
+    return V, np.asarray(numbers, dtype=np.int32).ravel()
 
 
 def create_vector(form: fem.Form) -> Any:

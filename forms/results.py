@@ -209,7 +209,6 @@ def displacement_of(u: fem.Function) -> fem.Function:
     field = displacement_field(_checks.function(u, "displacement_of"))
     if field is None or field.place is None:
         return u
-    _ = field.collapsed  # refuses nodes that are mixed up
     f = u.sub(field.place).collapse()
     f.name = "displacement"
     return f

@@ -241,13 +241,3 @@ def test_a_part_of_a_mixed_unknown_is_that_part(cells, degree):
     assert path.problem.energy() < 1e-16  # a rigid rotation, inside as well
     force, moment = forms.resultant(path, body.facets("left"))
     assert np.abs(force).max() < 1e-8 and np.abs(moment).max() < 1e-8
-
-
-def test_an_unknown_whose_nodes_are_mixed_up_is_refused():
-    """DOLFINx 0.9 numbers the parts of mixed tetrahedra of degree 3 otherwise than the whole."""
-    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2))
-    w = forms.displacement_pressure(body, 3)
-    with pytest.raises(ValueError, match="mixes up nodes of .* take degree 2, or hexahedra"):
-        forms.displacement_of(w)
-    with pytest.raises(ValueError, match="mixes up nodes"):
-        forms.clamp(w, body.facets("left"))
