@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_arguments, extract_constants
 
 from ._types import Expr
@@ -162,3 +163,13 @@ def direction(A: Any, what: str) -> Expr:
         if abs(length - 1) > 1e-8:
             raise ValueError(f"{what} needs a unit vector, got one of length {length:.6g}.")
     return expr
+
+
+def numbers_of(values: Any, what: str, name: str) -> NDArray[np.float64]:
+    """Values as an array of numbers, or one sentence."""
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} needs {what} as numbers, got {type(values).__name__}.") from None

@@ -17,7 +17,7 @@ from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 from ufl.corealg.traversal import unique_post_traversal
 
-from ._checks import in_ufl
+from ._checks import in_ufl, numbers_of
 from ._types import Expr
 from .differentiation import diff, expanded
 from .native import jit
@@ -73,7 +73,7 @@ def evaluate(
         )
     if derivatives not in (0, 1, 2):
         raise ValueError(f"derivatives must be 0, 1 or 2, got {derivatives}.")
-    arrays = _numbers(F, "F", name)
+    arrays = numbers_of(F, "F", name)
     if arrays.ndim not in (2, 3) or arrays.shape[-2:] not in ((3, 3), (3, 2), (2, 2)):
         raise ValueError(f"{name} needs F of shape (n, 3, 3) or (3, 3), got {arrays.shape}.")
     if not np.all(np.isfinite(arrays)):
@@ -160,7 +160,7 @@ class _Given:
             return entries if isinstance(value, list) else tuple(entries)
         if not isinstance(value, np.ndarray):
             return value
-        array = _finite(_numbers(value, key, self.name), key, self.name)
+        array = _finite(numbers_of(value, key, self.name), key, self.name)
         array = array[None] if self.one else array
         if array.ndim == 0 or len(array) != self.n:
             raise ValueError(
@@ -287,16 +287,6 @@ def _said(psi: Expr) -> tuple[Any, ...]:
         return node
 
     return tuple(map(known, fingerprint(psi)))
-
-
-def _numbers(values: Any, what: str, name: str) -> Array:
-    """Values as an array of numbers, or one sentence."""
-    try:
-        if np.iscomplexobj(values):
-            raise TypeError
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} needs {what} as numbers, got {type(values).__name__}.") from None
 
 
 def _finite(array: Array, key: str, name: str) -> Array:

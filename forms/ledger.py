@@ -227,14 +227,14 @@ def weights(
     points, gauss = np.polynomial.legendre.leggauss(len(x))
     by_change, by_place = np.zeros((len(x), len(x))), np.zeros(len(x))
     for point, weight in zip(middle + half * points, gauss * half, strict=True):
-        values, slopes = _lagrange(x, point)
+        values, slopes = lagrange(x, point)
         by_change += weight * np.outer(values, slopes)
         by_place += weight * values
     return by_change, by_place
 
 
-def _lagrange(x: NDArray[np.float64], at: float) -> tuple[NDArray, NDArray]:
-    """Lagrange's polynomials at a point, and their derivatives."""
+def lagrange(x: NDArray[np.float64], at: float) -> tuple[NDArray, NDArray]:
+    """Values and slopes at a point of the polynomials that are 1 at one of x, 0 at the others."""
     values, slopes = np.empty(len(x)), np.zeros(len(x))
     for j, own in enumerate(x):
         others = np.delete(x, j)

@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import numbers_of
 from .._types import Expr
 from .evaluate import evaluate
 from .jets import Kind, is_plane, singular_value_function
@@ -189,7 +190,7 @@ class SingularValueEnergy:
         self, F: ArrayLike, args: Any, parameters: Any, levels: tuple[int, ...], project: bool
     ) -> tuple[Array, ...]:
         values = self._values(args, parameters)
-        array = _numbers(F, "F", self.name)
+        array = numbers_of(F, "F", f"{self.name}.evaluate")
         shapes = [(3, 3)] if self.stretches == 3 else [(2, 2), (3, 2)]
         wanted = " or ".join(f"(n, {a}, {b})" for a, b in shapes)
         if array.ndim != 3 or array.shape[1:] not in shapes:
@@ -201,7 +202,9 @@ class SingularValueEnergy:
         known = dict(zip(stand_ins, _flattened(values), strict=True))
         columns = []
         for p in function.parameters:
-            column = _numbers(known[p], "parameters", self.name) if p in known else None
+            column = known.get(p)
+            if p in known:
+                column = numbers_of(column, "parameters", f"{self.name}.evaluate")
             column = np.array(_present_value(p, self.name)) if column is None else column
             if column.shape not in ((), (len(array),)):
                 raise ValueError(
@@ -290,18 +293,6 @@ def _check_scalar(value: Any, key: str, name: str) -> None:
             f"{name} needs {key} as a number or a UFL scalar, got {type(value).__name__}"
             + (f" of shape {shape}." if shape else ".")
         )
-
-
-def _numbers(values: Any, what: str, name: str) -> Array:
-    """Values as an array of numbers, or one sentence."""
-    try:
-        if np.iscomplexobj(values):
-            raise TypeError
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"{name}.evaluate needs {what} as numbers, got {type(values).__name__}."
-        ) from None
 
 
 def _flattened(values: dict[str, Any]) -> list[Any]:

@@ -16,7 +16,7 @@ from ..compilation import compiled
 from ..ledger import NODES, Balance, weights
 from ..problems import Problem
 
-SMALL = 1e-4  # of the load factor's way, for difference quotients
+SMALL = 1e-5  # of the load factor's way, for difference quotients
 
 
 class _Virtual(NamedTuple):

@@ -260,17 +260,17 @@ class Corrector:
 
     def _check(self, z: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Let the first correction end at the prescribed values; keep to what terms allow."""
-        changed, held = self._lift, self.problem.constrained
-        if self._lift:
+        lifted, held, fraction = self._lift, self.problem.constrained, 1.0
+        if lifted:
             self.newton.tangent.scaled.prescribe(self._b)
             step.array[held] = z.array_r[held] - self._b.array_r[held]
-            self._lift = False
         if len(self.problem.terms) > 1:
             self._b.array[:] = step.array_r[: self._b.getLocalSize()]
             fraction = self.newton.runs.allowed(self._b)
             step.scale(min(fraction, 1.0))
-            changed |= fraction < 1
-        return changed
+        # What a term has shortened is still to go, for prescribed values too.
+        self._lift = lifted and fraction < 1
+        return lifted or fraction < 1
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """SNES's convergence test, in which the contraction decides; a code, 0 to go on."""
@@ -304,14 +304,15 @@ class Corrector:
         if iteration == 1 and criteria.correction > FAR * size and not self._free:
             self.singular = True
             return Failure.LINEAR
-        settled = norm <= criteria.goal and off <= criteria.rtol
+        settled = norm <= criteria.goal and off <= criteria.rtol and not self._lift
         # Extrapolation magnifies what is left, in soft directions above all; back-solves are cheap.
         close = most if self._free or tangent.kept.used else settings.settle * most
         if settled and criteria.correction * ratio <= close:
             return CONVERGED
         # Where a stiff part beside a soft one is rounded, forces fall no further.
         stuck = norm > 0.5 * before.residual and norm <= STUCK * criteria.goal
-        if stuck and iteration > 1 and off <= criteria.rtol and criteria.correction <= 1e-3 * most:
+        stuck &= off <= criteria.rtol and criteria.correction <= 1e-3 * most and not self._lift
+        if stuck and iteration > 1:
             return CONVERGED
         if tangent.kept.slow:
             return Failure.LINEAR

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..ledger import lagrange
 from ..problems import Problem
 
 CLOSE = 0.03  # spacing of states, over the way to go, below which their tolerances are magnified
@@ -49,30 +50,24 @@ def extrapolate(problem: Problem, past: Sequence[State], to: float) -> tuple[int
 
 
 def through(states: Sequence[State], to: float) -> tuple[NDArray[np.float64], float]:
-    """Values and load factor at a place of the polynomial through states (Lagrange)."""
-    values, load = np.zeros_like(states[0].values), 0.0
-    for state, weight in zip(states, _weights([s.place for s in states], to), strict=True):
-        values += weight * state.values
-        load += weight * state.load
-    return values, float(load)
+    """Values and load factor at a place of the polynomial through states."""
+    return _combined(states, lagrange(_places(states), to)[0])
 
 
 def slope(states: Sequence[State]) -> tuple[NDArray[np.float64], float]:
     """Derivatives by the place, at the first of the states, of the polynomial through all."""
-    x = np.array([s.place for s in states])
+    return _combined(states, lagrange(_places(states), states[0].place)[1])
+
+
+def _places(states: Sequence[State]) -> NDArray[np.float64]:
+    return np.array([state.place for state in states])
+
+
+def _combined(
+    states: Sequence[State], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
     values, load = np.zeros_like(states[0].values), 0.0
-    for j, state in enumerate(states):
-        rest = [k for k in range(1, len(x)) if k != j]
-        if j == 0:
-            weight = np.sum(1 / (x[0] - x[1:]))
-        else:
-            weight = np.prod((x[0] - x[rest]) / (x[j] - x[rest])) / (x[j] - x[0])
+    for state, weight in zip(states, weights, strict=True):
         values += weight * state.values
         load += weight * state.load
     return values, float(load)
-
-
-def _weights(places: Sequence[float], to: float) -> list[float]:
-    x = np.array(places)
-    others = [np.delete(x, j) for j in range(len(x))]
-    return [float(np.prod((to - o) / (x[j] - o))) for j, o in enumerate(others)]
