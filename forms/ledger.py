@@ -131,8 +131,9 @@ class Ledger(list[Row]):
         for name, color in columns.items():
             total = np.cumsum([getattr(row, name) for row in self])
             if np.any(total):
-                style = "--" if name == "stored" else "-"
-                axes.plot(loads, total, color, ls=style, marker=".", label=name, zorder=3)
+                # Dashes over the work that they are to equal, which else would hide them.
+                style, level = ("--", 4) if name == "stored" else ("-", 3)
+                axes.plot(loads, total, color, ls=style, marker=".", label=name, zorder=level)
         for row in self:
             if row.kind != ORDINARY:
                 axes.axvline(row.load, color="0.7", zorder=0)
