@@ -4,7 +4,17 @@
 if __name__ == "forms":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
-from . import _together, by_hand, energies, kinematics, membranes, operators, stress
+from . import (
+    _together,
+    by_hand,
+    dissipation,
+    energies,
+    kinematics,
+    membranes,
+    operators,
+    schemes,
+    stress,
+)
 from . import validity as validity
 from .compilation import compiled
 from .condensation import plane_stress
@@ -34,7 +44,17 @@ from .paths import NotConverged, Path
 from .problems import Problem
 from .programs import table
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
-from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
+from .solving import (
+    arc_length,
+    control,
+    follow,
+    frequencies,
+    lowest_modes,
+    negative_eigenvalues,
+    settle,
+    solve,
+    transient,
+)
 from .supports import (
     clamp,
     pin,
@@ -98,6 +118,11 @@ __all__ = [  # in the order a user meets them
     "Checkpoint",
     "arc_length",
     "control",
+    "transient",
+    "dissipation",
+    "schemes",
+    "settle",
+    "frequencies",
     "negative_eigenvalues",
     "lowest_modes",
     "Path",

@@ -60,6 +60,9 @@ class Row(NamedTuple):
         supports: Work of the supports.
         unaccounted: Work less what is stored: what a jump released, or the integration's error.
         kind: As of :class:`Balance`.
+        kinetic: Kinetic energy gained, of motions, whose ``stored`` is the change of Pi in all.
+        dissipated: By viscosity and friction.
+        scheme: Dissipated by the scheme in time itself.
     """
 
     load: float
@@ -68,6 +71,9 @@ class Row(NamedTuple):
     supports: float
     unaccounted: float
     kind: str
+    kinetic: float = 0.0
+    dissipated: float = 0.0
+    scheme: float = 0.0
 
 
 class Verdict(NamedTuple):
@@ -88,9 +94,14 @@ class Ledger(list[Row]):
     """The accounts of a path, one a step; printed it is a table."""
 
     @property
+    def moves(self) -> bool:
+        """Whether it is that of a motion."""
+        return any(row.kinetic or row.dissipated or row.scheme for row in self)
+
+    @property
     def exchanged(self) -> float:
-        """Work of loads and supports, each step's by its magnitude [J]."""
-        return sum(abs(row.loads) + abs(row.supports) for row in self)
+        """Work of loads and supports, and kinetic energy, each step's by its magnitude [J]."""
+        return sum(abs(row.loads) + abs(row.supports) + abs(row.kinetic) for row in self)
 
     @property
     def missed(self) -> float:
@@ -102,17 +113,22 @@ class Ledger(list[Row]):
         if not self.missed > max(TOLERATED * self.exchanged, floor):
             return ""
         worst = max((row for row in self if row.kind == ORDINARY), key=lambda r: abs(r.unaccounted))
+        where = f"t = {worst.load:.6g}" if self.moves else f"load factor {worst.load:.6g}"
         return (
-            f" Unaccounted: {self.missed:.3g} J of {self.exchanged:.3g} J, most of it before load "
-            f"factor {worst.load:.6g}: shorter steps tell more."
+            f" Unaccounted: {self.missed:.3g} J of {self.exchanged:.3g} J, most of it before "
+            f"{where}: shorter steps tell more."
         )
 
     def __str__(self) -> str:
-        """The accounts as a table."""
-        head = ("load factor", "stored", "by loads", "by supports", "unaccounted", "")
-        lines = ["".join(f"{word:>14}" for word in head).rstrip()]
+        """The accounts as a table; of motions with their own columns."""
+        names = {"load": "load factor", "stored": "stored"}
+        if self.moves:
+            names = {"load": "time", "stored": "stored", "kinetic": "kinetic"}
+            names |= {"dissipated": "dissipated", "scheme": "by scheme"}
+        names |= {"loads": "by loads", "supports": "by supports", "unaccounted": "unaccounted"}
+        lines = ["".join(f"{word:>14}" for word in names.values())]
         for row in self:
-            numbers = "".join(f"{number:14.6g}" for number in row[:-1])
+            numbers = "".join(f"{getattr(row, name):14.6g}" for name in names)
             lines.append(f"{numbers}  {row.kind}".rstrip())
         return "\n".join(lines)
 
@@ -125,9 +141,11 @@ class Ledger(list[Row]):
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-        axes = figure.add_subplot(xlabel="load factor", ylabel="energy since the start [J]")
+        label = "time [s]" if self.moves else "load factor"
+        axes = figure.add_subplot(xlabel=label, ylabel="energy since the start [J]")
         loads = [row.load for row in self]
-        columns = {"stored": "k", "loads": "C0", "supports": "C1", "unaccounted": "C3"}
+        columns = {"stored": "k", "kinetic": "C2", "dissipated": "C4", "scheme": "C5"}
+        columns |= {"loads": "C0", "supports": "C1", "unaccounted": "C3"}
         for name, color in columns.items():
             total = np.cumsum([getattr(row, name) for row in self])
             if np.any(total):

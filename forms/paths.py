@@ -156,6 +156,8 @@ class Path:
         events: Bifurcations, limit points and jumps, in order.
         balances: Energy and powers of the states, the first one included.
         floor: Energy [J] that tolerances leave unknown.
+        accounts: Rows of the ledger that are known step by step, those of motions.
+        velocity, acceleration: Of a motion at its last time; None in statics.
     """
 
     u: fem.Function
@@ -171,11 +173,14 @@ class Path:
     events: list[Event] = field(default_factory=list)
     balances: list[Balance] = field(default_factory=list)
     floor: float = 0.0
+    accounts: Ledger = field(default_factory=Ledger)
+    velocity: fem.Function | None = None
+    acceleration: fem.Function | None = None
 
     @property
     def ledger(self) -> Ledger:
         """Account of each step: where the work of loads and supports went."""
-        return rows(self.balances)
+        return self.accounts or rows(self.balances)
 
     @property
     def load(self) -> float:

@@ -46,6 +46,7 @@ class Problem:
         symmetric: Whether the tangent is symmetric.
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
         solver: What a solver keeps with the problem; None before the first solve.
+        motion: The :class:`forms.motion.Motion` that it is a step of; None in statics.
 
     Raises:
         ValueError: a form of the wrong kind, one that does not contain u or contains a part of it
@@ -63,6 +64,7 @@ class Problem:
         degree = (field or next(iter(fields_of(u).values()))).degree
         self.u, self.supports = u, _listed(supports, u)
         self.solver: Any = None
+        self.motion: Any = None
         potential, others = _parted(potential)
         _check_parts(potential, u)
         self.forms = FormTerm(potential, u, degree, virtual_work, self.conditions)

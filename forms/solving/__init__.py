@@ -4,9 +4,12 @@
 from ..paths import Convergence, NotConverged, Path, Step
 from .arclength import arc_length
 from .following import follow, solve
+from .frequencies import frequencies
 from .newton import Newton
+from .settling import settle
 from .stability import lowest_modes, negative_eigenvalues
 from .targets import control
+from .transient import transient
 
 __all__ = [
     "Convergence",
@@ -17,7 +20,10 @@ __all__ = [
     "arc_length",
     "control",
     "follow",
+    "frequencies",
     "lowest_modes",
     "negative_eigenvalues",
+    "settle",
     "solve",
+    "transient",
 ]

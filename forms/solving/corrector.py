@@ -57,14 +57,17 @@ class Corrector:
         self._sizes: list[float] = []
         self._residuals: list[float] = []
         self._used, self._age, self._reason = 0, 0, ""
+        self._factors, self._of_factors = False, None
 
-    def solve(self, level: float = 0.0, free: bool = False) -> Convergence:
+    def solve(self, level: float = 0.0, free: bool = False, keep: bool = False) -> Convergence:
         """Correct the present state to equilibrium; it is left at the last iterate. Collective.
 
         Args:
             level: Force [N] that the residual is compared with, where the reactions are smaller.
             free: Newton's method in full, a tangent at each iterate, whatever its contraction, and
                 damped where it is singular: for the start of a path.
+            keep: Begin with the factors of the solve before, where they are still at hand, until
+                their corrections do not contract.
         """
         newton, scaled = self.newton, self.newton.tangent.scaled
         newton.used()
@@ -74,7 +77,8 @@ class Corrector:
         before = newton.problem.u.x.array.copy()
         values = None if self.border is None else self.border.values()
         while True:
-            outcome = self._run(level, free)
+            outcome = self._run(level, free, keep)
+            keep = False
             if outcome.code != Failure.LINEAR or not self._solves_better():
                 break
             newton.problem.u.x.array[:] = before
@@ -82,6 +86,10 @@ class Corrector:
                 self.border.put(values)
         newton.criteria.imbalance, newton.tangent.kept.exact = None, np.inf
         return explained(outcome, self.problem, newton.tangent.A)
+
+    def forget_factors(self) -> None:
+        """Begin the next solve with a tangent of its own."""
+        self._factors = False
 
     @property
     def tangents(self) -> int:
@@ -148,7 +156,7 @@ class Corrector:
                 vector.destroy()
         return self._snes
 
-    def _run(self, level: float, free: bool) -> Convergence:
+    def _run(self, level: float, free: bool, keep: bool) -> Convergence:
         newton, tangent, criteria = self.newton, self.newton.tangent, self.newton.criteria
         if tangent.kept.slow:
             newton.leave_multigrid()
@@ -168,7 +176,9 @@ class Corrector:
         if "snes_max_it" not in newton.options.user:
             snes.setTolerances(max_it=self._settings.most)
         tangents, solves, code = self.tangents, 0, Failure.LINEAR.value
-        _petsc.lag_jacobian(snes, 1 if free or tangent.kept.used else -2)
+        keep &= self._factors and snes is self._of_factors and not self._lift
+        lag = -1 if keep else -2
+        _petsc.lag_jacobian(snes, 1 if free or tangent.kept.used else lag)
         try:
             snes.solve(None, x)
             solves = snes.getLinearSolveIterations()
@@ -181,6 +191,8 @@ class Corrector:
         for vector in (x, self._before):
             vector.destroy()
         self.singular |= code == Failure.LINEAR and not self._sizes
+        self._of_factors = self._snes
+        self._factors = code == CONVERGED and not (free or tangent.kept.used)
         return Convergence(
             converged=code == CONVERGED,
             reason=criteria.reached() if code == CONVERGED else self._why(code),
@@ -319,6 +331,9 @@ class Corrector:
         # By the second correction of one tangent: later ones by kept factors may meet errors in
         # soft directions that the first ones have made, which another tangent mends.
         if self._age == 2 and not self._free and ratio > settings.refuse:
+            if self._used == 0 and not tangent.kept.used:  # by factors of an earlier solve
+                _petsc.lag_jacobian(snes, -2)
+                return 0
             if criteria.correction > most:
                 self._reason = f"corrections contract by {ratio:.2g} only"
                 return Failure.NO_CONTRACTION
