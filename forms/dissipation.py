@@ -22,7 +22,7 @@ from .kinematics import deformation_gradient
 class Dissipation:
     """A dissipation potential int phi(rate) dx.
 
-    ``Dissipation(lambda v: c / 3 * ufl.inner(v, v) ** 1.5, dx=body.ds("sail"))`` drags with c |v|^2.
+    ``Dissipation(lambda v: c / 3 * ufl.inner(v, v) ** 1.5, dx=body.ds("sail"))`` is a drag c |v|^2.
 
     Attributes:
         phi: Scalar function of the rate in UFL, convex, least at 0 [W/m^3], on boundaries [W/m^2].

@@ -106,7 +106,7 @@ class Inertia:
         comm = self._u.function_space.mesh.comm
         m, places = masses[self._own], self._space(self._places + x[self._own])
         dim = m.shape[1]
-        modes = np.zeros((len(m), 3, 6))
+        modes: NDArray = np.zeros((len(m), 3, 6))
         modes[:, range(3), range(3)] = 1
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             modes[:, j, 3 + i], modes[:, k, 3 + i] = -places[:, k], places[:, j]
@@ -206,7 +206,7 @@ def _lumping(dx: ufl.Measure, u: fem.Function, degree: int) -> ufl.Measure:
             f"a lumped mass needs linear elements, or quadratic ones on quadrilaterals and "
             f"hexahedra, where all nodes get a positive part; got degree {degree} on {cell}s."
         )
-    rule = {"quadrature_rule": "vertex" if degree == 1 else "GLL", "quadrature_degree": 2 * degree}
-    if degree == 1:
-        rule["quadrature_degree"] = 1
+    rule = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+    if degree == 2:
+        rule = {"quadrature_rule": "GLL", "quadrature_degree": 3}
     return dx(metadata={**dx.metadata(), **rule})

@@ -96,7 +96,8 @@ class Motion:
         self._velocity_before = np.zeros_like(u.x.array)
         self._c, self._b, self._inverse, self._strain_inverse = (_constant(mesh) for _ in range(4))
         self._strain = [_constant(mesh) for _ in range(5)]
-        listed = (dissipation,) if isinstance(dissipation, Dissipation) else tuple(dissipation)
+        given_: Any = dissipation
+        listed = tuple(given_) if isinstance(given_, list | tuple) else (given_,)
         parts = list(potential) if isinstance(potential, list | tuple) else [potential]
         self._check(parts, listed, rho)
         weight = given(mesh, thickness, "a thickness")
@@ -123,7 +124,8 @@ class Motion:
         held = self.problem.comm.allreduce(len(self.problem.constrained))
         self._free, self._owned = scheme.middle and not held, self._vector.getLocalSize()
         self._masses = self.inertia.of(np.ones_like(u.x.array))
-        self.momenta = self._momenta_ahead = np.zeros(6)
+        self.momenta: NDArray = np.zeros(6)
+        self._momenta_ahead: NDArray = self.momenta
 
     def _check(self, parts: Sequence[Any], listed: Sequence[Any], rho: Any) -> None:
         for each in listed:
@@ -232,7 +234,7 @@ class Motion:
         stage, held = self.scheme.stage(dt, self.step), self.problem.constrained
         last, v, a = (f.x.array for f in (self._last, self.velocity, self.acceleration))
         h = dt / 2 if middle else dt
-        moved, fields = self._nodes.ravel(), self.u.x.array
+        moved, fields = self._nodes.ravel(), np.asarray(self.u.x.array)
         fields[:] = last
         fields[moved] += (h * v + h**2 / 2 * a)[moved]
         self.given = given = self.held.at(begin + dt)
@@ -358,7 +360,7 @@ class Motion:
     # ---- what is measured
 
     def records(self, momentum: Array) -> dict[str, Any]:
-        """Kinetic energy and momenta of the last accepted state; ``momentum`` is M v. Collective."""
+        """Kinetic energy and momenta of the last accepted state, whose M v is given. Collective."""
         return self.inertia.momenta(self.velocity.x.array, momentum, not self._revolved)
 
     def dissipated_power(self) -> float:
@@ -374,6 +376,7 @@ class Motion:
         """
         weight, first = self.scheme.error(self.dt, self.step), not self.step
         free = np.setdiff1d(self._nodes, self.problem.constrained)
+        free = free[free < self._owned]  # of ghosts it is not said whether they are held
         change = state.a - self.acceleration.x.array
         arrays = (state.a, change, state.u - self.last, state.u, state.v)
         own = np.array([np.abs(x[free]).max(initial=0.0) for x in arrays])

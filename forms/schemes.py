@@ -121,9 +121,10 @@ class Newmark:
 
     u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a), v = v_n + dt ((1 - gamma) a_n + gamma a)
 
-    c = 1 / (beta dt^2), u* = u_n + dt v_n + dt^2 (1/2 - beta) a_n; order 2 with gamma = 1/2, else 1;
-    local error (beta - 1/6) dt^2 (a - a_n). Source: N. M. Newmark, J. Eng. Mech. Div. ASCE 85
-    (1959) 67.
+    c = 1 / (beta dt^2), u* = u_n + dt v_n + dt^2 (1/2 - beta) a_n
+
+    Order 2 with gamma = 1/2, else 1; local error (beta - 1/6) dt^2 (a - a_n). Source: N. M.
+    Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67.
 
     Raises:
         ValueError: beta is not positive, or gamma below 1/2, where vibrations grow.

@@ -171,3 +171,31 @@ def test_demos_keep_their_form(name):
     assert f"| `{name}` |" in page and f"`docker/enter python3 -m demos.{name}`" in page
     assert f"(figures/{name}.png)" in page
     assert 10_000 < (figure / f"{name}.png").stat().st_size <= 100_000
+
+
+def test_swing(demo):
+    """The tip swings as Turek and Hron's, and every joule is accounted for."""
+    numbers, _ = demo("swing", "energy.png", "swing.gif")
+    assert numbers["amplitude"] == pytest.approx([14.305, 65.160], rel=0.03)
+    assert numbers["mean"] == pytest.approx([-14.305, -63.607], rel=0.03)
+    assert numbers["frequency"] == pytest.approx(1.0995, rel=0.01)
+    assert numbers["unaccounted"] < 1e-3
+
+
+def test_jump(demo):
+    """What is released is lost in the end, and the crown is where one sine wave puts it."""
+    numbers, printed = demo("jump", "ledger.png", "jump.gif")
+    assert numbers["peak"] == pytest.approx(0.2768, abs=1e-3)
+    assert numbers["lost"] == pytest.approx(numbers["released"], rel=1e-3)
+    assert numbers["down"] == pytest.approx(-10.19, rel=0.01)
+    assert "no equilibrium is connected beyond" in printed
+
+
+def test_wobble(demo):
+    """The midpoint rule keeps momenta and every joule; implicit Euler loses a tenth or more."""
+    numbers, _ = demo("wobble", "energy.png", "wobble.gif")
+    kept, calmed = numbers["midpoint"], numbers["euler"]
+    assert kept["momentum"] < 1e-12 and kept["angular_momentum"] < 1e-10
+    assert kept["unaccounted"] < 1e-3 and abs(kept["lost"]) < 1e-9
+    assert calmed["lost"] > 0.1 and calmed["angular_momentum"] > 0.05
+    assert calmed["unaccounted"] < 1e-6

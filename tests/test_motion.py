@@ -141,7 +141,7 @@ def test_every_joule_of_a_swing_is_accounted_for(scheme):
 
 def test_the_error_that_a_step_is_said_to_make_is_the_one_it_makes():
     """Of the trapezoidal rule, by a step in a hundred pieces from the same state."""
-    body, psi, u, supports, t = beam(1)
+    _, psi, u, supports, t = beam(1)
     forms.transient(psi, u, supports, t, to=0.2, rho=1.0, dt=0.002, progress=False, scheme="bdf2")
     path = forms.transient(psi, u, supports, t, to=0.25, rho=1.0, dt=0.002, progress=False)
     start, speed = u.x.array.copy(), path.velocity
@@ -196,7 +196,7 @@ def test_refused_steps_leave_the_motion_as_it_was(monkeypatch):
 
 
 def test_supports_that_move_have_a_velocity_and_an_acceleration():
-    """A bar shaken rigidly: u, v, a are the support's everywhere, and the work is the momentum's."""
+    """A bar shaken rigidly: u, v, a are the support's everywhere, and its work is what moves."""
     body, psi, u, _, t = beam(1)
     stiff = 1e6 * psi
     shake = forms.translate(u, body.facets("left"), (0.8 * t**3, 0))

@@ -61,16 +61,17 @@ def picture(
         raise ValueError(f"a picture is colored by a scalar, got shape {color.ufl_shape}.")
     comm = u.function_space.mesh.comm
     on_rank_zero(comm, ensure_display)
-    parts = comm.gather(_part(u, color), root=0)
+    parts = comm.gather(part_of(u, color), root=0)
     dim = u.function_space.mesh.geometry.dim
 
     def draw() -> None:
-        _draw(_merge(parts), filename, label, limits, view, title, scale, reference, size, dim)
+        grid = merged(parts)
+        draw_grid(grid, filename, label, limits, view, title, scale, reference, size, dim)
 
     on_rank_zero(comm, draw)
 
 
-def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
+def part_of(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
     """This rank's owned cells: VTK connectivity, types, points, displacements, colors."""
     mesh, degree = u.function_space.mesh, u.function_space.ufl_element().embedded_superdegree
     moved = fem.Function(discontinuous(mesh, degree, (mesh.geometry.dim,)))
@@ -84,7 +85,7 @@ def _part(u: fem.Function, color: Expr) -> tuple[NDArray, ...]:
     return cells, types, points, d, c.x.array.copy()
 
 
-def _merge(parts: list[tuple[NDArray, ...]]) -> Any:
+def merged(parts: list[tuple[NDArray, ...]]) -> Any:
     """One grid of all ranks' cells; values at coinciding nodes are averaged."""
     import pyvista
 
@@ -106,7 +107,7 @@ def _merge(parts: list[tuple[NDArray, ...]]) -> Any:
     return grid
 
 
-def _draw(
+def draw_grid(
     grid: Any,
     filename: str | FilePath,
     label: str,
@@ -117,7 +118,9 @@ def _draw(
     reference: bool,
     size: tuple[int, int],
     dim: int,
+    within: NDArray | None = None,
 ) -> None:
+    """Draw a grid; local, on rank 0. ``within`` are points that the picture fits, of all frames."""
     import pyvista
 
     FilePath(filename).parent.mkdir(parents=True, exist_ok=True)
@@ -154,7 +157,13 @@ def _draw(
         plotter.add_text(title, position="upper_edge", font_size=12, color="black")
     direction = view or ((0.0, 0.0, 1.0) if dim == 2 else (1.0, -2.0, 1.0))
     shown = np.concatenate([surface.points, grid.points]) if reference else surface.points
-    _aim(plotter, shown, np.asarray(direction, float), size, bool(title))
+    _aim(
+        plotter,
+        shown if within is None else within,
+        np.asarray(direction, float),
+        size,
+        bool(title),
+    )
     plotter.screenshot(str(filename))
     # Close before the display ends, or X reports a fatal error at exit.
     plotter.close()

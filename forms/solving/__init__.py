@@ -4,12 +4,12 @@
 from ..paths import Convergence, NotConverged, Path, Step
 from .arclength import arc_length
 from .following import follow, solve
-from .frequencies import frequencies
+from .motions import transient
 from .newton import Newton
 from .settling import settle
 from .stability import lowest_modes, negative_eigenvalues
 from .targets import control
-from .transient import transient
+from .vibrations import frequencies
 
 __all__ = [
     "Convergence",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,13 @@ from ..supports import Support
 from .certificates import certified_volume
 from .controls.load import attempt
 from .controls.time import ROUGH, TimeSteps
+from .motions import LEAST, motion_of
 from .newton import Newton
 from .pace import Pace
 from .reuse import newton_for, problem_for, release
 from .settings import Settings
+from .stability import negative_eigenvalues
 from .stepping import advance
-from .transient import LEAST, motion_of
 
 CALM = 1e-6  # of the largest kinetic energy, that a body at rest has at most
 SLOW = 1e-3  # of the largest inertia, that a body at rest has at most
@@ -54,7 +56,7 @@ def settle(
     """Let the body move, damped by implicit Euler, until it is at rest, at one load. Collective.
 
     Where :func:`forms.follow` ends at a limit point, ``forms.settle(psi, u, supports, t,
-    to=1.001 * t.value)`` carries the body over; ``path.ledger`` has the joules released, moved and
+    to=1.01 * t.value)`` carries the body over; ``path.ledger`` has the joules released, moved and
     lost on the way, and the last step is the equilibrium at rest, solved for as by ``solve``.
 
     Args:
@@ -149,6 +151,8 @@ def _come_to_rest(
     if not outcome.converged:
         raise _failed(path, f"{outcome.sentence()}, where the body has come to rest.")
     problem.commit()
+    if outcome.negative is None and problem.symmetric:
+        outcome = replace(outcome, negative=negative_eigenvalues(problem))
     time, notes = (last.load, last.records) if last else (0.0, {"kinetic": 0.0})
     stored, kinetic = problem.energy() - energy, notes["kinetic"]
     path.accounts.append(Row(time, stored, 0.0, 0.0, kinetic - stored, REST, -kinetic))

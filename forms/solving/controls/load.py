@@ -194,7 +194,10 @@ class LoadSteps(Continuation):
         """What to say where no shorter step succeeds."""
         sentence, advice = super().ending(outcome)
         if self.path.problem.has_energy and not advice:
-            advice = "Go on with forms.arc_length, or with jump=True to the next state at rest."
+            advice = (
+                "Go on with forms.arc_length, or to the next state at rest: forms.settle by damped "
+                "motion, jump=True by minimizing the energy."
+            )
         return sentence, advice
 
     def memory(self) -> tuple[list[np.ndarray], dict[str, Any]]:

@@ -74,11 +74,12 @@ class TimeSteps:
         self._accounts = MotionAccounts(motion) if path.problem.has_energy else None
         self._time, self._scale, self._level = self._begin, 0.0, 0.0
         self._inertia = self._ratio = 0.0
-        self.why, self._why, self.bounds = "", "", None
+        self._part: float | None = None
+        self.why, self._why = "", ""
+        self.bounds: Bounds | None = None
         self._counted = self._spent = self.corrector.tangents
         self._velocity: Any = None
         self._at_rest = False
-        self.bounds: Bounds | None
 
     def start_with(self, velocity: Any) -> None:
         """Set the first velocity."""
@@ -108,6 +109,11 @@ class TimeSteps:
         """Find the first acceleration, and the first account. Collective."""
         self.motion.begin(self._velocity)
         self._read_start()
+        # Here, and not at the first solve, which may be that of a motion that is taken up.
+        self.motion.aim(self.pace.toward(self._ends[0] - self._time))
+        self.motion.stay()
+        self.newton.tangent.scaled.measure()
+        self.restore()
 
     def _read_start(self) -> None:
         if self._accounts is not None:
@@ -173,6 +179,11 @@ class TimeSteps:
         least = ROUGH * size if motion.scheme.order == 1 or motion.scheme.two_step else 0.0
         scale = min(max(self._scale, scale, least), size)
         ratio = error / (self._tolerance * scale) if scale > 0 else 0.0
+        if ratio > 1 and not motion.step:
+            # Where loads grow from nothing the error stays a part of what has moved, whatever dt.
+            part, before = error / scale, self._part
+            self._part = part
+            ratio = 1.0 if before is not None and part > 0.5 * before else ratio
         self._why = self._refusal(ratio, sound)
         if self._why:
             self._ratio = ratio
@@ -184,10 +195,10 @@ class TimeSteps:
         end = next((end for end in self._ends if abs(end - self._time) < 1e-9 * motion.dt), None)
         if end is not None:
             self._time = motion.t.value = end
-        order = motion.scheme.order + 1
+        order, refused = motion.scheme.order + 1, self.pace.calm
         self.pace.accept(self.pace.settings.aim * ratio / SAFE, order)
         if self._dt is not None:
-            self.pace.ahead = self._dt if self.pace.step >= 0.99 * self._dt else self.pace.ahead
+            self.pace.ahead = self.pace.step if refused else self._dt
         if row is not None and self._accounts is not None:
             path.accounts.append(row)
             self._accounts.take()

@@ -72,14 +72,16 @@ def frequencies(
         problem: Path or problem, of statics or of a motion, whose rho is taken.
         rho: Mass per reference volume [kg/m^3], a number or a scalar in UFL.
         count: How many.
-        lumped, thickness, dx: As of :func:`forms.transient`.
+        lumped: Whether the mass is lumped, as of :func:`forms.transient`.
+        thickness: Of a sheet [m].
+        dx: Measure of what has mass; by default all cells.
 
     Raises:
         ValueError: no potential, no mass density, count below 1 or above the number of free
             degrees of freedom.
         ImportError: slepc4py is missing.
     """
-    found: Problem = getattr(problem, "problem", problem)
+    found = problem.problem if isinstance(problem, Path) else problem
     motion, field = found.motion, found.displacement
     if not found.symmetric or field is None:
         raise ValueError(

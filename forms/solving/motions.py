@@ -164,7 +164,8 @@ def motion_of(
     """
     others: Any = ()
     if isinstance(potential, Problem):
-        given, problem = (u, virtual_work, *tuple(supports or ())), potential
+        held = (supports,) if isinstance(supports, Support) else tuple(supports)
+        given, problem = (u, virtual_work, *held), potential
         if any(each is not None for each in given):
             raise ValueError(
                 "a problem comes with its unknown, supports and virtual work: pass it alone, or a "
@@ -175,7 +176,7 @@ def motion_of(
                 "a motion needs a problem of statics, got that of another motion: pass the "
                 "potential, and velocity=path.velocity to go on."
             )
-        forms, *others = problem.terms
+        others = problem.terms[1:]
         u, supports, virtual_work = problem.u, problem.supports, problem.forms.virtual_work
         potential = problem.forms.potential
         if virtual_work is not None and potential.arguments():
