@@ -25,7 +25,7 @@ from variform.forms.files.animations import Animation
 folder = Path("results/jump")
 comm = MPI.COMM_WORLD
 say = print if comm.rank == 0 else lambda *words: None
-span, rise, n = 100.0, 5.0, 80
+span, rise, n = 100.0, 5.0, 48
 
 # %% [markdown]
 # Half of the arch, on rollers in its middle: a whole one would sway aside before. The end hangs on

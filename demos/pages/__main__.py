@@ -2,7 +2,7 @@
 """Write the pages' tables and pictures: ``docker/enter python3 -m demos.pages``.
 
 ``--tables`` leaves the pictures as they are; ``--demos`` runs every demo twice before, for their
-times and pictures. What is written stands in forms/README.md, forms/solving/README.md,
+times and pictures, ``--demos=swing,jump`` some of them. What is written stands in forms/README.md, forms/solving/README.md,
 meshes/README.md, tests/README.md and demos/README.md between two marks each, and in demos/figures.
 """
 
@@ -24,12 +24,13 @@ PAGES = {  # page, mark: what writes the lines
 
 def main(words):
     """Write all tables, and all pictures."""
-    unknown = set(words) - {"--tables", "--demos"}
+    asked = [word for word in words if word.startswith("--demos")]
+    unknown = {word for word in words if word != "--tables"} - set(asked)
     if unknown:
         print(f"There is no option {', '.join(sorted(unknown))}: --tables and --demos are all.")
         return 2
-    if "--demos" in words:
-        gallery.run()
+    if asked:
+        gallery.run([name for name in asked[0].partition("=")[2].split(",") if name])
     for (page, mark), lines in PAGES.items():
         insert(mark, lines(), energies.ROOT / page)
         print(f"{page}: {mark}", flush=True)
