@@ -145,26 +145,23 @@ class TimeSteps:
         motion.aim(step)
         inertia = motion.stage.inertia
         similar = 1 / SIMILAR < inertia / self._inertia < SIMILAR if self._inertia else False
-        if not self._finite():
-            motion.stay()
-        before = motion.u.x.array.copy()
         outcome = self.corrector.solve(self._level, keep=similar)
+        if outcome.code == Failure.NOT_FINITE:
+            motion.stay()
+            outcome = self.corrector.solve(self._level)
         if self.corrector.tangents > self._counted or not similar:
             self._inertia = inertia
         self._count_tangents()
-        if (not outcome.converged and outcome.code != Failure.NOT_FINITE) or not self._finite():
-            motion.u.x.array[:] = before
-            first = outcome
-            self.newton.criteria.imbalance = self._level or None
-            outcome = self.newton.solve()
-            outcome = replace(outcome, iterations=outcome.iterations + first.iterations)
-            self._count_tangents()
-            self.corrector.forget_factors()
-        return outcome
+        return outcome if outcome.converged else self._minimize(outcome)
 
-    def _finite(self) -> bool:
-        problem = self.path.problem
-        return not problem.has_energy or bool(np.isfinite(problem.energy()))
+    def _minimize(self, first: Convergence) -> Convergence:
+        """The same step by a minimization, from the last state. Collective."""
+        self.motion.stay()
+        self.newton.criteria.imbalance = self._level or None
+        outcome = self.newton.solve()
+        self._count_tangents()
+        self.corrector.forget_factors()
+        return replace(outcome, iterations=outcome.iterations + first.iterations)
 
     def accept(self, outcome: Convergence) -> tuple[Convergence, dict[str, Any]] | None:
         """Measure the step's local error, and take it. Collective."""
