@@ -299,3 +299,21 @@ def test_benchmark_of_kills_runs(run, tmp_path):
     assert len(rows) == 8 and len(killed) == 4
     assert all(row["next run"] == "succeeds" and not row["unfinished then"] for row in killed)
     assert {row.get("two at a time", "both succeed") for row in rows} == {"both succeed"}
+
+
+def test_benchmark_of_motion_runs(run, tmp_path):
+    """A coarse bar swings as published, a thrown body keeps its momenta, schemes have orders."""
+    done = run("-m", "demos.benchmarks.motion", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    swings, throws, errors, costs = (
+        [row for row in rows if row["part"] == part] for part in ("swing", "thrown", "scheme", "cost")
+    )
+    assert all(abs(row["Hz"] / 1.0995 - 1) < 0.01 for row in swings)
+    assert all(abs(row["uy amplitude"] / 65.160 - 1) < 0.02 for row in swings)
+    assert 3 < swings[0]["unaccounted"] / swings[1]["unaccounted"] < 5
+    midpoint, euler = throws
+    assert midpoint["momentum"] < 1e-12 and midpoint["angular momentum"] < 1e-9
+    assert midpoint["second half's excursion"] < 1.1 and euler["angular momentum"] > 0.05
+    assert {row["scheme"] for row in errors} == {"euler", "bdf2", "newmark", "midpoint"}
+    assert all(row["error"] < 0.2 for row in errors) and len(costs) == 1
+    assert (tmp_path / "results" / "motion.csv").stat().st_size > 1000
