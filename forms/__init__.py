@@ -4,7 +4,7 @@
 if __name__ == "forms":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
-from . import _together, by_hand, energies, kinematics, membranes, operators, stress
+from . import _together, by_hand, energies, kinematics, membranes, obstacles, operators, stress
 from . import validity as validity
 from .compilation import compiled
 from .condensation import plane_stress
@@ -30,6 +30,7 @@ from .loads import (
     spring,
 )
 from .membranes import enclosed_volume, membrane_gradient
+from .obstacles import obstacle
 from .paths import NotConverged, Path
 from .problems import Problem
 from .programs import table
@@ -81,6 +82,8 @@ __all__ = [  # in the order a user meets them
     "pressure_potential",
     "enclosed_volume",
     "spring",
+    "obstacle",
+    "obstacles",
     "clamp",
     "roller",
     "translate",

@@ -69,6 +69,10 @@ class Corrector:
         newton, scaled = self.newton, self.newton.tangent.scaled
         newton.used()
         self._renewed = False
+        crossed = self.problem.crossed()
+        if crossed:
+            self.theta, self.singular = 0.0, False
+            return Convergence(False, crossed, NOT_FINITE, 0, 0, 0, np.inf, level, np.inf)
         if scaled.rounding == 0:
             scaled.measure()
         before = newton.problem.u.x.array.copy()
@@ -264,9 +268,14 @@ class Corrector:
         if lifted:
             self.newton.tangent.scaled.prescribe(self._b)
             step.array[held] = z.array_r[held] - self._b.array_r[held]
-        if len(self.problem.terms) > 1:
-            self._b.array[:] = step.array_r[: self._b.getLocalSize()]
-            fraction = self.newton.runs.allowed(self._b)
+        if self.problem.bounds_steps:
+            moves = {}
+            if self.border is None:
+                step.copy(self._b)
+            else:
+                dq = self.border.part(step, self._b)
+                moves = {q: -float(d) for q, d in zip(self.border.q, dq, strict=True)}
+            fraction = self.newton.runs.allowed(self._b, moves)
             step.scale(min(fraction, 1.0))
         # What a term has shortened is still to go, for prescribed values too.
         self._lift = lifted and fraction < 1
