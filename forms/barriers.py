@@ -247,6 +247,11 @@ class Barriers:
         )
         return min(self._comm.allgather(own), key=lambda c: (c.distance, c.place))
 
+    def near(self) -> bool:
+        """Whether any obstacle acts at the present state. Collective."""
+        own = any(b.clearance().distance < float(b.label.reach.value) for b in self.all)
+        return bool(self.all) and bool(self._comm.allreduce(own, MPI.LOR))
+
     def begin(self) -> None:
         """Take the present state for a start. Collective.
 

@@ -228,6 +228,10 @@ class Problem:
         """What the way from the last accepted state to u crosses, in words. Collective."""
         return self.forms.barriers.crossed()
 
+    def touches(self) -> bool:
+        """Whether obstacles act at u. Collective."""
+        return self.forms.barriers.near()
+
     def begin(self) -> None:
         """Take the present state for the start of a path. Collective.
 

@@ -107,7 +107,29 @@ class Continuation(Branch):
         self.aim(self._goal)
         self._order, load = extrapolate(self.path.problem, self._past, self._goal)
         self.guess(load)
-        return self.corrector.solve(self.level)
+        return self._corrected()
+
+    def _corrected(self) -> Convergence:
+        """Correct the guess; by the energy where that fails and an obstacle acts. Collective.
+
+        Where contact begins the path bends, within so little that no contraction can be had; energy
+        and stability of what is found tell whether it is the path's.
+        """
+        problem, newton = self.path.problem, self.newton
+        values, q = problem.u.x.array.copy(), float(self.q.value)
+        outcome = self.corrector.solve(self.level)
+        if outcome.converged or not self.corrector.met:
+            return outcome
+        problem.u.x.array[:], self.q.value = values, q
+        if self.corrector.border is not None or not problem.minimization:
+            return self.corrector.solve(self.level, free=True)
+        newton.predict()
+        outcome = newton.solve()
+        newton.tangent.projecting = False
+        newton.tangent.forget_damping()
+        if not outcome.converged:
+            return outcome
+        return replace(outcome, negative=self.corrector.refactor(), tried=())
 
     def guess(self, load: float) -> None:
         """Take the extrapolated load factor, where that is an unknown."""
