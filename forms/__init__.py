@@ -4,7 +4,17 @@
 if __name__ == "forms":
     raise ImportError("the packages have one name: write `from variform import forms, meshes`.")
 
-from . import _together, by_hand, energies, kinematics, membranes, obstacles, operators, stress
+from . import (
+    _together,
+    by_hand,
+    contact,
+    energies,
+    kinematics,
+    membranes,
+    obstacles,
+    operators,
+    stress,
+)
 from . import validity as validity
 from .compilation import compiled
 from .condensation import plane_stress
@@ -106,6 +116,7 @@ __all__ = [  # in the order a user meets them
     "Path",
     "NotConverged",
     "resultant",
+    "contact",
     "at",
     "field",
     "displacement_of",

@@ -127,9 +127,9 @@ def obstacle(
         ds: Boundary that may touch it, as ``body.ds("top")``; of a membrane ``ufl.dx``.
         dhat: Distance from which on the barrier acts [m], not above the smallest facet; by default
             a tenth of that. Error and effort both grow as it gets smaller or larger.
-        stiffness: Pressure scale k [Pa] of the barrier, a number or UFL; by default the body's own,
-            from the tangent's diagonal at rest on this boundary. A pressure of k/10 leaves a gap
-            of 0.84 dhat, one of 10 k 0.09 dhat.
+        stiffness: Pressure scale k [Pa] of the barrier, a number or UFL; by default a tenth of
+            the body's own, by the tangent's diagonal at rest on this boundary. A pressure of k/10
+            leaves a gap of 0.83 dhat, k 0.53 dhat, 10 k 0.12 dhat.
         gap: Moves the surface back, away from the body, by so much [m], a number or UFL of
             Constants: dhat lets a body touch it at the start; one that falls with the load factor
             closes it. Negative, half its thickness for a sheet.
@@ -176,6 +176,7 @@ def obstacle(
         stiffness = fem.Constant(mesh, default_scalar_type(np.nan))
     if not distances:
         raise ValueError(f"the obstacle {name} has no distance.")
+    flat = (mesh.topology.dim, mesh.geometry.dim) == (2, 2)  # and perhaps a body of revolution
     total = []
     for one in distances:
         label = Obstacle()
@@ -190,7 +191,7 @@ def obstacle(
         def density(F: Expr, b: Expr = b) -> Expr:
             return circumference(u) * b if is_axisymmetric(F) else b
 
-        total.append(of_kinematics(u, None, density) * ds)
+        total.append((of_kinematics(u, None, density) if flat else b) * ds)
     return sum(total[1:], total[0])
 
 

@@ -30,6 +30,9 @@ from .quadrature import with_quadrature
 from .variation import residual, tangent
 
 
+SOFT = 0.1  # stiffness of obstacles over the body's own modulus
+
+
 class Term(Protocol):
     """One summand of a problem's potential, or of its virtual work; all methods are collective.
 
@@ -207,8 +210,8 @@ class FormTerm:
     def set_stiffness(self) -> None:
         """Give obstacles without a stiffness the body's own at rest on their boundary. Collective.
 
-        k = mean K_ii n h / A over the n nodes there, of spacing h, and the area A: a modulus, to
-        two digits.
+        k = mean K_ii n h / (10 A) over the n nodes there, of spacing h, and the area A: a tenth of a
+        modulus, to two digits, alike on any number of ranks.
 
         Raises:
             ValueError: the tangent at rest has no diagonal there.
@@ -232,9 +235,9 @@ class FormTerm:
         self.prepare()
         for barrier in unset:
             if barrier.label.unset:  # one of several distances may have set it
-                barrier.label.stiffness.value = self._modulus(barrier, diagonal)
+                barrier.label.stiffness.value = self._softened(barrier, diagonal)
 
-    def _modulus(self, barrier: Barrier, diagonal: NDArray) -> float:
+    def _softened(self, barrier: Barrier, diagonal: NDArray) -> float:
         label, mesh = barrier.label, self._u.function_space.mesh
         mark = self.create_vector()
         with mark.localForm() as local:
@@ -251,14 +254,14 @@ class FormTerm:
         numbers = [diagonal[free].sum(), free.sum(), there.sum() / mesh.geometry.dim, area]
         total, count, nodes, area = mesh.comm.allreduce(np.array(numbers, float))
         size = label.facet / label.field.degree
-        modulus = total / count * nodes * size / area if count else np.nan
-        if not 0 < modulus < np.inf:
+        k = SOFT * total / count * nodes * size / area if count else np.nan
+        if not 0 < k < np.inf:
             raise ValueError(
                 f"the body has no stiffness at rest where the obstacle {label.name} acts, from "
-                f"which to take that of its barrier, got {modulus:.3g} Pa: give it a stiffness= of "
+                f"which to take that of its barrier, got {k:.3g} Pa: give it a stiffness= of "
                 "about the pressures expected."
             )
-        return float(f"{modulus:.1e}")
+        return float(f"{k:.1e}")
 
     def commit(self) -> None:
         """Remember where the points of obstacles are."""

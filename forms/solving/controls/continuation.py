@@ -15,7 +15,7 @@ from ...ledger import ORDINARY, Balance, verdict
 from ...paths import Convergence, Event, Path
 from ...validity import Bounds
 from ..accounts import Accounts
-from ..certificates import certified_volume
+from ..certificates import certified_clearance, certified_volume
 from ..corrector import Corrector
 from ..extrapolation import State, extrapolate
 from ..ladder import Failure
@@ -158,6 +158,9 @@ class Continuation(Branch):
     def refusal(self, outcome: Convergence) -> str:
         """Why a state that was found is not the path's; empty where it is. Collective."""
         self.bounds = certified_volume(self.path.problem)
+        clear = certified_clearance(self.path.problem)
+        if clear is not None and not clear.distance > 0:
+            return clear.words()
         return self._newly_inverted() or self._unbalanced() or self.unlike(outcome)
 
     def _newly_inverted(self) -> str:
