@@ -30,7 +30,7 @@ from .quadrature import with_quadrature
 from .variation import residual, tangent
 
 
-SOFT = 0.1  # stiffness of obstacles over the body's own modulus
+SOFT = 0.2  # stiffness of obstacles over the body's own modulus
 
 
 class Term(Protocol):
@@ -210,7 +210,7 @@ class FormTerm:
     def set_stiffness(self) -> None:
         """Give obstacles without a stiffness the body's own at rest on their boundary. Collective.
 
-        k = mean K_ii n h / (10 A) over the n nodes there, of spacing h, and the area A: a tenth of a
+        k = mean K_ii n h / (5 A) over the n nodes there, of spacing h, and the area A: a fifth of a
         modulus, to two digits, alike on any number of ranks.
 
         Raises:
