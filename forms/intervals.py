@@ -188,9 +188,9 @@ def _operation(node: Expr, parts: list) -> Any:
         a, b = np.maximum(a, 0.0), np.maximum(b, 0.0)
         return _hull(a**d, a**e, b**d, b**e)
     assert kind is c.Atan2
-    ahead = d > 0  # elsewhere it may jump
+    jumps = (d <= 0) & (a < 0) & (b >= 0)
     angles = _hull(*(np.arctan2(y, x) for y in (a, b) for x in (d, e)))
-    return np.where(ahead, angles[0], -np.pi), np.where(ahead, angles[1], np.pi)
+    return np.where(jumps, -np.pi, angles[0]), np.where(jumps, np.pi, angles[1])
 
 
 def _hull(*corners: Array) -> Interval:

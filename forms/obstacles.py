@@ -305,7 +305,7 @@ def rule(cell: basix.CellType, parts: int) -> tuple[NDArray[np.float64], NDArray
         for sign in (1, -1):
             corners = [(0, 0), (sign, 0), (0, sign)]
             base = (i, j) if sign == 1 else (i + 1, j + 1)
-            if sum(base) + (1 if sign == 1 else -1) > parts:
+            if sum(base) + (sign == 1) > parts:
                 continue
             v = [(6 * (base[0] + a), 6 * (base[1] + b)) for a, b in corners]
             for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)):
