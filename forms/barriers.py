@@ -42,9 +42,8 @@ class Clearance(NamedTuple):
 
     def words(self) -> str:
         """Where and how much, in words."""
-        at = ", ".join(f"{x:.4g}" for x in self.place)
         beyond = f"{-self.distance:.3g} beyond" if self.distance < 0 else f"{self.distance:.3g} from"
-        return f"at ({at}) the body is {beyond} the obstacle {self.obstacle}"
+        return f"at {_place(self.place)} the body is {beyond} the obstacle {self.obstacle}"
 
 
 class Barrier:
@@ -130,6 +129,10 @@ class Barrier:
         x = self.places()
         fraction, point = _free(self._bounds, before, x - before, values, moves, 0.0)
         return () if fraction >= 1 else tuple(x[point].tolist())
+
+
+def _place(x: tuple[float, ...]) -> str:
+    return f"({', '.join(f'{0.0 if abs(one) < 1e-12 else one:.4g}' for one in x)})"
 
 
 def _moved(N: Array, u: Array, dofs: NDArray[np.int32]) -> Array:
@@ -233,12 +236,12 @@ class Barriers:
         if not self.all:
             return ""
         found = [(b.crossed(), b.label.name) for b in self.all]
-        here = [f"({', '.join(f'{x:.4g}' for x in at)})" + f" {name}" for at, name in found if at]
-        words = [one for one in self._comm.allgather(here[0] if here else "") if one]
-        if not words:
+        here = next(((name, at) for at, name in found if at), None)
+        met = [one for one in self._comm.allgather(here) if one]
+        if not met:
             return ""
-        place, _, name = min(words).rpartition(" ")
-        return f"the body would cross the obstacle {name} on its way to {place}"
+        name, at = min(met)
+        return f"the body would cross the obstacle {name} on its way to {_place(at)}"
 
     def clearance(self) -> Clearance:
         """Smallest distance from all, at the points where they act. Collective."""

@@ -210,7 +210,7 @@ class FormTerm:
     def set_stiffness(self) -> None:
         """Give obstacles without a stiffness the body's own at rest on their boundary. Collective.
 
-        k = mean K_ii n h / (5 A) over the n nodes there, of spacing h, and the area A: a fifth of a
+        k = sum K_ii h / (5 d A) over the nodes there, h apart, in d dimensions, and the area A: a fifth of a
         modulus, to two digits, alike on any number of ranks.
 
         Raises:
@@ -225,8 +225,8 @@ class FormTerm:
         for c in reaches:
             c.value = -1e300  # nothing acts
         self.prepare()
-        A = self.create_matrix()
-        self.tangent(A)
+        A = insertion.create_matrix(self.tangent_form)  # of supported nodes, too
+        insertion.assemble(A, self.tangent_form, [])
         diagonal = A.getDiagonal().array_r.copy()
         A.destroy()
         u.x.array[:] = values
@@ -245,16 +245,11 @@ class FormTerm:
         mark.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         there = mark.array_r > 0
         mark.destroy()
-        free = there.copy()
-        for condition in self._conditions:
-            dofs = condition.dof_indices()[0]
-            free[dofs[dofs < len(free)]] = False
         one = circumference(self._u) if is_revolved(self.potential) else fem.Constant(mesh, 1.0)
         area = fem.assemble_scalar(compiled(one * label.measure))
-        numbers = [diagonal[free].sum(), free.sum(), there.sum() / mesh.geometry.dim, area]
-        total, count, nodes, area = mesh.comm.allreduce(np.array(numbers, float))
+        total, area = mesh.comm.allreduce(np.array([diagonal[there].sum(), area]))
         size = label.facet / label.field.degree
-        k = SOFT * total / count * nodes * size / area if count else np.nan
+        k = SOFT * total / mesh.geometry.dim * size / area
         if not 0 < k < np.inf:
             raise ValueError(
                 f"the body has no stiffness at rest where the obstacle {label.name} acts, from "
