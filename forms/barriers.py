@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """How far the points of a boundary may go before an obstacle: no step crosses one.
 
-Positions move along straight lines within a step, obstacles with their Constants. A part of a way is
-free where the distance's bounds over it (:mod:`forms.intervals`) are positive; ways are walked part
-by part, halved where they are not, so that what lies between two states is seen as well.
+Positions move along straight lines within a step, obstacles with their Constants. A part of a way
+is free where the distance's bounds over it (:mod:`forms.intervals`) are positive; ways are walked
+part by part, halved where they are not, so that what lies between two states is seen as well.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _dolfinx
-from .obstacles import Obstacle, entities, obstacles_in
+from .boundaries import entities
+from .obstacles import Obstacle, obstacles_in
 
 Array = NDArray[np.float64]
 KEPT = 0.1  # of a distance that no step may take
@@ -42,7 +43,9 @@ class Clearance(NamedTuple):
 
     def words(self) -> str:
         """Where and how much, in words."""
-        beyond = f"{-self.distance:.3g} beyond" if self.distance < 0 else f"{self.distance:.3g} from"
+        beyond = (
+            f"{-self.distance:.3g} beyond" if self.distance < 0 else f"{self.distance:.3g} from"
+        )
         return f"at {_place(self.place)} the body is {beyond} the obstacle {self.obstacle}"
 
 
@@ -116,7 +119,7 @@ class Barrier:
         return Clearance(float(d[worst]), tuple(x[worst].tolist()), self.label.name)
 
     def largest_step(self, step: Array, moves: Mapping[Any, float]) -> float:
-        """Fraction of a step of the unknown, and of Constants, that leaves KEPT of all distances."""
+        """Fraction of a step, and of moves of Constants, that leaves KEPT of all distances."""
         x = self.places()
         start = {c: float(c.value) for c in moves if c in self._bounds.constants}
         found = _free(self._bounds, x, self.ways(step), start, moves, KEPT)
@@ -182,7 +185,9 @@ def _free(
         a = done[active]
         b = np.minimum(a + part[active], fraction)
         ends = x[active] + a[:, None] * dx[active], x[active] + b[:, None] * dx[active]
-        between = {c: tuple(sorted((v + a * m, v + b * m), key=_first)) for c, (v, m) in moving.items()}
+        between = {
+            c: tuple(sorted((v + a * m, v + b * m), key=_first)) for c, (v, m) in moving.items()
+        }
         low = bounds(np.minimum(*ends), np.maximum(*ends), between)[0]
         free = low > least[active]
         done[active[free]] = b[free]

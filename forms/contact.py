@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from . import _checks, _dolfinx
+from . import _dolfinx
 from ._types import Expr
 from .barriers import Clearance
 from .compilation import compiled
@@ -144,9 +144,9 @@ def gap(of: Any, name: str | None = None) -> fem.Function:
 def clearance(of: Any) -> Clearance:
     """Smallest distance from any obstacle, at all points where one acts.
 
-    Positive: no node and no point of the rules is beyond one. Facets are straight or of degree 2
-    between them: beside a curved obstacle of radius R a facet of size h may reach h^2 / (8 R) deeper
-    (less by the square of parts=).
+    Positive: no node and no point of the rules is beyond one. Between them, beside a curved
+    obstacle of radius R, a facet of size h may reach h^2 / (32 R) deeper, less by the square of
+    parts=, and what is thinner than their distance may stand between two points.
 
     Args:
         of: Path or its problem; at present values.

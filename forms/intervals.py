@@ -90,8 +90,8 @@ class Intervals:
         shape = low.shape[:1]
         return np.broadcast_to(a, shape), np.broadcast_to(b, shape)
 
-    def _of(self, node: Expr, found: dict, low: Array, high: Array, moves: Mapping) -> Any:
-        kind = type(node)
+    def _of(self, node: Any, found: dict, low: Array, high: Array, moves: Mapping) -> Any:
+        kind: Any = type(node)
         if isinstance(node, c.ScalarValue | c.Zero):
             value = np.float64(0.0 if isinstance(node, c.Zero) else float(node))
             return value, value
@@ -101,11 +101,11 @@ class Intervals:
             return None
         if isinstance(node, c.Indexed):
             operand, index = node.ufl_operands
-            numbers = tuple(int(i) for i in index)
+            numbers = tuple(int(i) for i in index.indices())
             if operand == self._place:
                 return low[:, numbers[0]], high[:, numbers[0]]
             return tuple(np.asarray(bound)[numbers] for bound in found[operand])
-        parts = [found.get(o) for o in node.ufl_operands]
+        parts: list[Any] = [found.get(o) for o in node.ufl_operands]
         if kind in _COMPARED:
             first, second, alike = _COMPARED[kind]
             (a, b), (d, e) = parts[first], parts[second]

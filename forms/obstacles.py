@@ -10,26 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
-from mpi4py import MPI
-
-import basix
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
-from numpy.typing import NDArray
 
-from . import _checks, _dolfinx
+from . import _checks
 from ._types import Expr
+from .boundaries import KINDS, facet_type, rule, sizes
 from .intervals import Intervals
 from .kinematics import circumference, is_axisymmetric
 from .loads import of_kinematics
 from .unknowns import Field, field_of
 
 FINE = 0.1  # of the smallest facet of a boundary: reach of a barrier
-_KINDS = {"cell": fem.IntegralType.cell, "exterior_facet": fem.IntegralType.exterior_facet}
 
 
 @dataclass(frozen=True)
@@ -149,7 +144,7 @@ def obstacle(
     if not field.is_displacement:
         raise ValueError(f"an obstacle needs the displacement, got the field {field.name}.")
     ds = _measure(ds, mesh)
-    smallest, typical = _sizes(mesh, ds)
+    smallest, typical = sizes(mesh, ds)
     if dhat is None:
         dhat = FINE * smallest
     if not (_checks.number(dhat) is not None and 0 < dhat <= smallest):
@@ -162,11 +157,11 @@ def obstacle(
     parts = field.degree if parts is None else parts
     if not isinstance(parts, int) or parts < 1:
         raise ValueError(f"parts of {name} is a whole number of at least 1, got {parts}.")
-    points, weights = rule(_facet_type(mesh, ds), parts)
+    points, weights = rule(facet_type(mesh, ds), parts)
     own = {
         "quadrature_rule": "custom",
-        "quadrature_points": tuple(map(tuple, points.tolist())),
-        "quadrature_weights": tuple(weights.tolist()),
+        "quadrature_points": tuple(tuple(map(float, point)) for point in points),
+        "quadrature_weights": tuple(map(float, weights)),
         "quadrature_degree": max(2, 2 * field.degree),
     }
     ds = ds(metadata=own)
@@ -207,7 +202,7 @@ def obstacles_in(form: Any) -> list[tuple[Obstacle, Expr, Any]]:
 
 
 def _shifted(distance: Any, x: Expr, gap: Any, name: str, exact: bool = False) -> Expr:
-    """phi / |grad phi| + gap at a place; where only its sign counts phi alone if it may be."""
+    """Phi / |grad phi| + gap at a place; where only its sign counts phi alone if it may be."""
     if not callable(distance):
         raise ValueError(
             f"the distance of {name} is a function of the place, as forms.obstacles.plane returns "
@@ -227,7 +222,7 @@ def _measure(ds: Any, mesh: Any) -> ufl.Measure:
     ds = _checks.measure(ds, "an obstacle")
     dim = mesh.topology.dim
     surface = dim < mesh.geometry.dim
-    if ds.integral_type() not in _KINDS or (ds.integral_type() == "cell" and not surface):
+    if ds.integral_type() not in KINDS or (ds.integral_type() == "cell" and not surface):
         raise ValueError(
             'an obstacle needs the measure of a boundary, as body.ds("top"), or of a membrane, '
             f"ufl.dx; got one over {ds.integral_type().replace('_', ' ')}s."
@@ -238,83 +233,6 @@ def _measure(ds: Any, mesh: Any) -> ufl.Measure:
             "leave that out, parts= makes the rule finer."
         )
     return ds if ds.ufl_domain() is not None else ds(domain=mesh)
-
-
-def entities(mesh: Any, measure: Any) -> NDArray[np.int32]:
-    """Where a measure, or an integral, of an obstacle is: cells, or (cell, local facet); local."""
-    kind = _KINDS[measure.integral_type()]
-    ids = measure.subdomain_id()
-    found = []
-    for number in ids if isinstance(ids, tuple) else (ids,):
-        number = number if isinstance(number, int) else -1
-        data = measure.subdomain_data()
-        found.append(_dolfinx.integration_entities(_cpp(mesh), kind, data, number))
-    width = 2 if kind == fem.IntegralType.exterior_facet else 1
-    return np.unique(np.concatenate(found).reshape(-1, width), axis=0).astype(np.int32)
-
-
-def _cpp(mesh: Any) -> Any:
-    return getattr(mesh, "_cpp_object", mesh)
-
-
-def _sizes(mesh: Any, ds: ufl.Measure) -> tuple[float, float]:
-    """Smallest and mean size of a boundary's facets [m]. Collective."""
-    dim, where = mesh.topology.dim, entities(mesh, ds)
-    if where.shape[1] == 2:
-        mesh.topology.create_connectivity(dim, dim - 1)
-        table = mesh.topology.connectivity(dim, dim - 1)
-        numbers = table.array.reshape(table.num_nodes, -1)[where[:, 0], where[:, 1]]
-        dim -= 1
-    else:
-        numbers = where[:, 0]
-    h = mesh.h(dim, np.ascontiguousarray(numbers, np.int32))
-    least = mesh.comm.allreduce(float(h.min(initial=np.inf)), MPI.MIN)
-    total, count = mesh.comm.allreduce(np.array([h.sum(), len(h)]))
-    if count == 0:
-        raise ValueError("an obstacle needs a boundary, got one without facets on any rank.")
-    return least, float(total / count)
-
-
-def _facet_type(mesh: Any, ds: ufl.Measure) -> basix.CellType:
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
-    if ds.integral_type() == "cell":
-        return cell
-    kinds = set(basix.cell.subentity_types(cell)[-2])
-    if len(kinds) > 1 or kinds == {basix.CellType.point}:
-        raise ValueError(f"obstacles know no facets of {cell.name} cells.")
-    return kinds.pop()
-
-
-def rule(cell: basix.CellType, parts: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points and weights on a reference facet: at all nodes of degree 1 and 2, of degree 3.
-
-    Simpson's rule on intervals, its products on quadrilaterals, and on triangles vertices (1/40),
-    middles of edges (1/15) and the middle (9/40), in each of the parts; the weights are positive.
-    """
-    s = np.linspace(0, 1, 2 * parts + 1)
-    w = np.full(len(s), 2.0)
-    w[1::2], w[[0, -1]] = 4.0, 1.0
-    w /= 6 * parts
-    if cell == basix.CellType.interval:
-        return s[:, None], w
-    if cell == basix.CellType.quadrilateral:
-        x, y = np.meshgrid(s, s, indexing="ij")
-        return np.c_[x.ravel(), y.ravel()], np.outer(w, w).ravel()
-    found: dict[tuple[int, int], float] = {}  # by six times the coordinates in parts
-    for i, j in product(range(parts), repeat=2):
-        for sign in (1, -1):
-            corners = [(0, 0), (sign, 0), (0, sign)]
-            base = (i, j) if sign == 1 else (i + 1, j + 1)
-            if sum(base) + (sign == 1) > parts:
-                continue
-            v = [(6 * (base[0] + a), 6 * (base[1] + b)) for a, b in corners]
-            for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)):
-                at = (v[a][0] + v[b][0]) // 2, (v[a][1] + v[b][1]) // 2
-                found[at] = found.get(at, 0.0) + (1 / 40 if a == b else 1 / 15)
-            middle = tuple(sum(p[k] for p in v) // 3 for k in (0, 1))
-            found[middle] = found.get(middle, 0.0) + 9 / 40
-    points = np.array(list(found), float) / (6 * parts)
-    return points, np.array(list(found.values())) / parts**2
 
 
 def plane(point: Any, normal: Any) -> Distance:
@@ -399,7 +317,9 @@ def box(lower: Sequence[Any], upper: Sequence[Any]) -> Distance:
 
     def phi(x: Expr) -> Expr:
         ends = [_checks.vector(end, x.ufl_shape, "a corner of a box") for end in (lower, upper)]
-        q = [abs(x[k] - (a[k] + b[k]) / 2) - (b[k] - a[k]) / 2 for a, b in [ends] for k in _range(x)]
+        q = [
+            abs(x[k] - (a[k] + b[k]) / 2) - (b[k] - a[k]) / 2 for a, b in [ends] for k in _range(x)
+        ]
         out = [ufl.max_value(one, 0) for one in q]
         most = q[0]
         for one in q[1:]:
@@ -420,8 +340,12 @@ def container(lower: Sequence[Any], upper: Sequence[Any]) -> list[Distance]:
     for ends, sign in ((lower, 1), (upper, -1)):
         for k, end in enumerate(ends):
             if end is not None:
-                walls.append(Distance(lambda x, k=k, e=end, s=sign: s * (x[k] - e), "wall"))
+                walls.append(_wall(k, end, sign))
     return walls
+
+
+def _wall(k: int, end: Any, sign: int) -> Distance:
+    return Distance(lambda x: sign * (x[k] - end), "wall")
 
 
 def _range(x: Expr) -> range:

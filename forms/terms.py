@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
@@ -28,7 +28,6 @@ from .loads import with_kinematics
 from .operators.jets import Jet
 from .quadrature import with_quadrature
 from .variation import residual, tangent
-
 
 SOFT = 0.2  # stiffness of obstacles over the body's own modulus
 
@@ -210,8 +209,8 @@ class FormTerm:
     def set_stiffness(self) -> None:
         """Give obstacles without a stiffness the body's own at rest on their boundary. Collective.
 
-        k = sum K_ii h / (5 d A) over the nodes there, h apart, in d dimensions, and the area A: a fifth of a
-        modulus, to two digits, alike on any number of ranks.
+        k = sum K_ii h / (5 d A) over the nodes there, h apart, in d dimensions, and the area A: a
+        fifth of a modulus, to two digits, alike on any number of ranks.
 
         Raises:
             ValueError: the tangent at rest has no diagonal there.
@@ -245,7 +244,11 @@ class FormTerm:
         mark.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         there = mark.array_r > 0
         mark.destroy()
-        one = circumference(self._u) if is_revolved(self.potential) else fem.Constant(mesh, 1.0)
+        one = (
+            circumference(self._u)
+            if is_revolved(self.potential)
+            else fem.Constant(mesh, default_scalar_type(1.0))
+        )
         area = fem.assemble_scalar(compiled(one * label.measure))
         total, area = mesh.comm.allreduce(np.array([diagonal[there].sum(), area]))
         size = label.facet / label.field.degree

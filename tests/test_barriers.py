@@ -59,7 +59,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_no_step_tunnels(name, rng):
-    """Steps of 1e-2 to 1e4 lengths of the body: no point is beyond at any of 2000 places of its way."""
+    """Steps of 1e-2 to 1e4 lengths of the body: no point is beyond at 2000 places of its way."""
     problem, barrier, _ = scene(SHAPES[name], degree=2)
     stopped = 0
     for scale in 10.0 ** rng.uniform(-2, 4, 30):
@@ -132,7 +132,9 @@ def test_supports_beyond_an_obstacle_are_named():
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
     wall = forms.obstacle(u, obstacles.sphere((0.5, -0.3), 0.1), body.ds("bottom"), name="pin")
     held = forms.translate(u, body.facets("bottom"), (0.0, -1.0 * t))
-    with pytest.raises(forms.NotConverged, match="the body would cross the obstacle pin on its way"):
+    with pytest.raises(
+        forms.NotConverged, match="the body would cross the obstacle pin on its way"
+    ):
         forms.solve(psi * ufl.dx + wall, u, [held])
     assert not np.any(u.x.array)
     t.value = 0.0

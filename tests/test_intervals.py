@@ -67,7 +67,10 @@ EXPRESSIONS = {
         ufl.diff(ufl.sqrt(ufl.dot(V, V)) * V[1], V)[2],
         lambda x: x[:, 2] * x[:, 1] / _root(x),
     ),
-    "root": (abs(X[0]) ** 1.5 + ufl.ln(X[1] + 2), lambda x: abs(x[:, 0]) ** 1.5 + np.log(x[:, 1] + 2)),
+    "root": (
+        abs(X[0]) ** 1.5 + ufl.ln(X[1] + 2),
+        lambda x: abs(x[:, 0]) ** 1.5 + np.log(x[:, 1] + 2),
+    ),
 }
 
 

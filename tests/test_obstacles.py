@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 
 from variform import forms, meshes
-from variform.forms import obstacles
+from variform.forms import boundaries, obstacles
 from variform.forms.intervals import Intervals
 
 BODY = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=2)
@@ -123,7 +123,7 @@ def test_barrier_in_closed_form():
 def test_rule(cell, parts):
     """Degree 3 in all of its parts, weights positive, and the nodes of degree 1 and 2 in it."""
     kind = getattr(basix.CellType, cell)
-    points, weights = obstacles.rule(kind, parts)
+    points, weights = boundaries.rule(kind, parts)
     exact, at = basix.make_quadrature(kind, 3)
     for i in range(4):
         for j in range(4 - i if points.shape[1] == 2 else 1):

@@ -262,7 +262,7 @@ class Runs:
         return fraction < 1
 
     def allowed(self, step: PETSc.Vec, moves: Mapping[Any, float] | None = None) -> float:
-        """Fraction of a scaled step, and of moves of Constants, that no term forbids. Collective."""
+        """Fraction of a scaled step, and of Constants' moves, that no term forbids. Collective."""
         self.b.pointwiseMult(step, self.tangent.scaled.D)
         self.b.scale(-1)  # SNES takes x - step
         return self.problem.largest_step(self.b, moves)
