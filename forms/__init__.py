@@ -7,10 +7,12 @@ if __name__ == "forms":
 from . import (
     _together,
     by_hand,
+    contact,
     dissipation,
     energies,
     kinematics,
     membranes,
+    obstacles,
     operators,
     schemes,
     stress,
@@ -40,6 +42,7 @@ from .loads import (
     spring,
 )
 from .membranes import enclosed_volume, membrane_gradient
+from .obstacles import obstacle
 from .paths import NotConverged, Path
 from .problems import Problem
 from .programs import table
@@ -101,6 +104,8 @@ __all__ = [  # in the order a user meets them
     "pressure_potential",
     "enclosed_volume",
     "spring",
+    "obstacle",
+    "obstacles",
     "clamp",
     "roller",
     "translate",
@@ -128,6 +133,7 @@ __all__ = [  # in the order a user meets them
     "Path",
     "NotConverged",
     "resultant",
+    "contact",
     "at",
     "field",
     "displacement_of",

@@ -176,7 +176,7 @@ def follower_pressure(u: Expr, p: Expr, v: Expr, ds: ufl.Measure, F: Expr | None
         weight = circumference(u) if is_axisymmetric(F) and _is_uniform(p) else 1
         return weight * ufl.inner(p * _deformed_normal(u, F), v)
 
-    return _of_kinematics(u, F, density) * measure(ds, "a pressure")
+    return of_kinematics(u, F, density) * measure(ds, "a pressure")
 
 
 def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure, F: Expr | None = None) -> ufl.Form:
@@ -222,7 +222,7 @@ def pressure_potential(u: Expr, p: Expr, ds: ufl.Measure, F: Expr | None = None)
             return p * x[0] / 2 * normal[0] * circumference(u)
         return p / u.ufl_shape[0] * ufl.inner(x, normal)
 
-    return _of_kinematics(u, F, density) * measure(ds, "a pressure")
+    return of_kinematics(u, F, density) * measure(ds, "a pressure")
 
 
 def spring(u: Expr, k: Expr, dx: ufl.Measure, direction: Expr | None = None) -> ufl.Form:
@@ -246,7 +246,7 @@ class _Alternative(ufl.classes.Label):
         self.revolved = revolved
 
 
-def _of_kinematics(u: Expr, F: Expr | None, density: Callable[[Expr], Expr]) -> Expr:
+def of_kinematics(u: Expr, F: Expr | None, density: Callable[[Expr], Expr]) -> Expr:
     """Density of a load with F; in the plane, without an F, both that there may be."""
     if F is not None:
         return density(F)

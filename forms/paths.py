@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from dolfinx import fem
 
+from .barriers import Clearance
 from .ledger import START, Balance, Ledger, rows
 from .problems import Problem
 from .validity import Bounds
@@ -107,12 +108,14 @@ class Step:
         records: What was recorded.
         bounds: Bounds of the smallest volume ratio J (of a membrane's area ratio) over whole cells;
             None for elements that have none (:func:`forms.validity.can_bound`).
+        clearance: Smallest distance from obstacles, where it is and from which; None without any.
     """
 
     load: float
     convergence: Convergence
     records: dict[str, Any]
     bounds: Bounds | None = None
+    clearance: Clearance | None = None
 
 
 class Event(NamedTuple):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -69,6 +69,7 @@ class Problem:
         _check_parts(potential, u)
         self.forms = FormTerm(potential, u, degree, virtual_work, self.conditions)
         self.terms: tuple[Term, ...] = (self.forms, *others)
+        self.forms.set_stiffness()
         self.symmetric = self.forms.symmetric
         curvatures = {f.role.curvature for f in self.fields.values()}
         self.minimization = self.has_energy and self.symmetric and curvatures == {"+"}
@@ -210,9 +211,37 @@ class Problem:
             )
         self.forms.prepare_projection()
 
-    def largest_step(self, step: PETSc.Vec) -> float:
-        """Fraction of a step, at most 1, that no term forbids. Collective."""
-        return min(term.largest_step(step) for term in self.terms)
+    @property
+    def bounds_steps(self) -> bool:
+        """Whether a term may forbid part of a step: forms with obstacles do."""
+        return len(self.terms) > 1 or bool(self.forms.barriers)
+
+    def largest_step(self, step: PETSc.Vec, moves: Mapping[Any, float] | None = None) -> float:
+        """Fraction of a step, at most 1, that no term forbids. Collective.
+
+        Args:
+            step: Of the unknown, with room for ghosts.
+            moves: Of Constants beside it, as a load factor that is an unknown, too.
+        """
+        others = [term.largest_step(step) for term in self.terms[1:]]
+        return min(self.forms.largest_step(step, moves), *others, 1.0)
+
+    def crossed(self) -> str:
+        """What the way from the last accepted state to u crosses, in words. Collective."""
+        return self.forms.barriers.crossed()
+
+    def touches(self) -> bool:
+        """Whether obstacles act at u. Collective."""
+        return self.forms.barriers.near()
+
+    def begin(self) -> None:
+        """Take the present state for the start of a path. Collective.
+
+        Raises:
+            ValueError: the body touches an obstacle, or is beyond it.
+        """
+        if self.forms.barriers:
+            self.forms.barriers.begin()
 
     def commit(self) -> None:
         """Take the present state for the last accepted one. Collective."""

@@ -7,24 +7,29 @@ else that has an energy and its derivatives is a class with the methods of :clas
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from petsc4py import PETSc
 
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx, insertion
+from .barriers import Barrier, Barriers
 from .compilation import compiled
 from .differentiation import Dependent, dependents, expanded
+from .kinematics import circumference, is_revolved
 from .loads import with_kinematics
 from .operators.jets import Jet
 from .quadrature import with_quadrature
 from .variation import residual, tangent
+
+SOFT = 0.2  # stiffness of obstacles over the body's own modulus
 
 
 class Term(Protocol):
@@ -83,6 +88,7 @@ class FormTerm:
         potential: Total potential, or residual, that all of it was derived from.
         virtual_work: What was added to the residual, in UFL; None for nothing.
         constants: Constants in the forms.
+        barriers: Obstacles of the potential.
     """
 
     def __init__(
@@ -125,6 +131,7 @@ class FormTerm:
         self.projected_form: fem.Form | None = None
         self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
         self.constants = tuple(c for part in parts for c in extract_constants(part))
+        self.barriers = Barriers(potential, u.function_space.mesh.comm)
 
     @property
     def hides_constants(self) -> bool:
@@ -186,16 +193,82 @@ class FormTerm:
         if self.projected_form is None:
             self.projected_form = compiled(self.tangent_ufl, project=True)
 
-    def largest_step(self, step: PETSc.Vec) -> float:
-        """1: a form bounds no step; states without a finite energy are refused."""
-        return 1.0
+    def largest_step(self, step: PETSc.Vec, moves: Mapping[Any, float] | None = None) -> float:
+        """1, or what obstacles leave of a step; states without a finite energy are refused.
+
+        Args:
+            step: Of the unknown, with room for ghosts.
+            moves: Of Constants beside it.
+        """
+        if not self.barriers:
+            return 1.0
+        step.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        with step.localForm() as local:
+            return self.barriers.largest_step(local.array_r, moves or {})
+
+    def set_stiffness(self) -> None:
+        """Give obstacles without a stiffness the body's own at rest on their boundary. Collective.
+
+        k = sum K_ii h / (5 d A) over the nodes there, h apart, in d dimensions, and the area A: a
+        fifth of a modulus, to two digits, alike on any number of ranks.
+
+        Raises:
+            ValueError: the tangent at rest has no diagonal there.
+        """
+        unset = [b for b in self.barriers.all if b.label.unset]
+        if not unset:
+            return
+        u, reaches = self._u, [b.label.reach for b in self.barriers.all]
+        kept, values = [float(c.value) for c in reaches], u.x.array.copy()
+        u.x.array[:] = 0
+        for c in reaches:
+            c.value = -1e300  # nothing acts
+        self.prepare()
+        A = insertion.create_matrix(self.tangent_form)  # of supported nodes, too
+        insertion.assemble(A, self.tangent_form, [])
+        diagonal = A.getDiagonal().array_r.copy()
+        A.destroy()
+        u.x.array[:] = values
+        for c, value in zip(reaches, kept, strict=True):
+            c.value = value
+        self.prepare()
+        for barrier in unset:
+            if barrier.label.unset:  # one of several distances may have set it
+                barrier.label.stiffness.value = self._softened(barrier, diagonal)
+
+    def _softened(self, barrier: Barrier, diagonal: NDArray) -> float:
+        label, mesh = barrier.label, self._u.function_space.mesh
+        mark = self.create_vector()
+        with mark.localForm() as local:
+            local.array[barrier.dofs] = 1
+        mark.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        there = mark.array_r > 0
+        mark.destroy()
+        one = (
+            circumference(self._u)
+            if is_revolved(self.potential)
+            else fem.Constant(mesh, default_scalar_type(1.0))
+        )
+        area = fem.assemble_scalar(compiled(one * label.measure))
+        total, area = mesh.comm.allreduce(np.array([diagonal[there].sum(), area]))
+        size = label.facet / label.field.degree
+        k = SOFT * total / mesh.geometry.dim * size / area
+        if not 0 < k < np.inf:
+            raise ValueError(
+                f"the body has no stiffness at rest where the obstacle {label.name} acts, from "
+                f"which to take that of its barrier, got {k:.3g} Pa: give it a stiffness= of "
+                "about the pressures expected."
+            )
+        return float(f"{k:.1e}")
 
     def commit(self) -> None:
-        """Nothing is kept from state to state."""
+        """Remember where the points of obstacles are."""
+        self.barriers.remember()
 
     def rollback(self) -> None:
         """Bring coefficients up to date with the unknown's values."""
         self.prepare()
+        self.barriers.remember()
 
     def history(self) -> dict[str, Any]:
         """Nothing besides the unknown."""

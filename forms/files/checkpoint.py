@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from .. import _dolfinx
 from .._checks import warn
 from .._parallel import on_rank_zero
+from ..barriers import Clearance
 from ..paths import Convergence, Step
 from ..validity import Bounds
 from .identity import NodeOrder
@@ -303,16 +304,19 @@ def _load(file: FilePath) -> tuple[dict[str, Any], dict[str, NDArray]]:
 def _line(step: Step) -> str:
     """A step as JSON, in which floats keep all their bits."""
     parts = [step.load, vars(step.convergence), step.records, step.bounds]
+    if step.clearance is not None:
+        parts.append(step.clearance)
     return json.dumps(parts, default=_plain)
 
 
 def _step(line: str) -> Step:
-    load, entries, records, bounds = json.loads(line, object_hook=_restored)
+    load, entries, records, bounds, *more = json.loads(line, object_hook=_restored)
     for name in ("residuals", "tried"):
         entries[name] = tuple(entries[name])
     if bounds is not None:
         bounds = Bounds(bounds[0], bounds[1], tuple(bounds[2]))
-    return Step(load, Convergence(**entries), records, bounds)
+    clearance = Clearance(more[0][0], tuple(more[0][1]), more[0][2]) if more else None
+    return Step(load, Convergence(**entries), records, bounds, clearance)
 
 
 def _plain(value: Any) -> Any:

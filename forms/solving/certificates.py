@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from ..barriers import Clearance
 from ..problems import Problem
 from ..validity import Bounds, can_bound, volume_bounds
 
@@ -10,3 +11,8 @@ from ..validity import Bounds, can_bound, volume_bounds
 def certified_volume(problem: Problem) -> Bounds | None:
     """Bounds of the smallest volume ratio at u; None for elements without. Collective."""
     return volume_bounds(problem) if can_bound(problem.u) else None
+
+
+def certified_clearance(problem: Problem) -> Clearance | None:
+    """Smallest distance from obstacles at u, found anew; None without any. Collective."""
+    return problem.forms.barriers.clearance() if problem.forms.barriers else None

@@ -42,13 +42,14 @@ class Corrector:
     Attributes:
         theta: First contraction of the last solve; 0 where its first correction was the last.
         singular: Whether the last solve failed because the tangent at its start is singular.
+        met: Whether a term shortened a step of the last solve, or obstacles acted on an iterate.
         negative_at_start: Negative eigenvalues of the first tangent of the last solve.
     """
 
     def __init__(self, newton: Newton, border: Border | None = None) -> None:
         self.newton, self.border = newton, border
         self.problem, self._settings = newton.problem, newton.settings
-        self.theta, self.singular = 0.0, False
+        self.theta, self.singular, self.met = 0.0, False, False
         self.negative_at_start: int | None = None
         self._b = newton.problem.create_vector()
         self._snes: PETSc.SNES | None = None
@@ -72,6 +73,11 @@ class Corrector:
         newton, scaled = self.newton, self.newton.tangent.scaled
         newton.used()
         self._renewed = False
+        crossed = self.problem.crossed()
+        self.met = bool(crossed)
+        if crossed:
+            self.theta, self.singular = 0.0, False
+            return Convergence(False, crossed, NOT_FINITE, 0, 0, 0, np.inf, level, np.inf)
         if scaled.rounding == 0:
             scaled.measure()
         before = newton.problem.u.x.array.copy()
@@ -276,10 +282,16 @@ class Corrector:
         if lifted:
             self.newton.tangent.scaled.prescribe(self._b)
             step.array[held] = z.array_r[held] - self._b.array_r[held]
-        if len(self.problem.terms) > 1:
-            self._b.array[:] = step.array_r[: self._b.getLocalSize()]
-            fraction = self.newton.runs.allowed(self._b)
+        if self.problem.bounds_steps:
+            moves = {}
+            if self.border is None:
+                step.copy(self._b)
+            else:
+                dq = self.border.part(step, self._b)
+                moves = {q: -float(d) for q, d in zip(self.border.q, dq, strict=True)}
+            fraction = self.newton.runs.allowed(self._b, moves)
             step.scale(min(fraction, 1.0))
+            self.met |= fraction < 1 or self.problem.touches()
         # What a term has shortened is still to go, for prescribed values too.
         self._lift = lifted and fraction < 1
         return lifted or fraction < 1

@@ -26,7 +26,7 @@ class State(NamedTuple):
 def extrapolate(problem: Problem, past: Sequence[State], to: float) -> tuple[int, float]:
     """Move u on along the polynomial through the last states, as many as are of use. Collective.
 
-    Where the energy is not finite there, fewer.
+    Where the energy is not finite there, or an obstacle is crossed on the way, fewer.
 
     Args:
         problem: Problem, whose unknown is moved.
@@ -43,7 +43,7 @@ def extrapolate(problem: Problem, past: Sequence[State], to: float) -> tuple[int
     for count in range(len(states), 1, -1):
         values, load = through(states[:count], to)
         problem.u.x.array[:] = values
-        if not problem.has_energy or np.isfinite(problem.energy()):
+        if (not problem.has_energy or np.isfinite(problem.energy())) and not problem.crossed():
             return count, load
     problem.u.x.array[:] = past[0].values
     return 1, past[0].load

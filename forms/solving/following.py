@@ -15,7 +15,7 @@ from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, Step, check_record, recorded
 from ..problems import Problem
 from ..supports import Support
-from .certificates import certified_volume
+from .certificates import certified_clearance, certified_volume
 from .controls.load import LoadSteps, attempt, pace_of
 from .reuse import newton_for, problem_for, release
 from .settings import Settings
@@ -88,7 +88,8 @@ def solve(
         )
     problem.commit()
     bounds = certified_volume(problem)
-    path.steps.append(Step(load, outcome, recorded(record, problem), bounds))
+    clear = certified_clearance(problem)
+    path.steps.append(Step(load, outcome, recorded(record, problem), bounds, clear))
     path.completed = True
     path.reason = f"{outcome.sentence()}.{path.verdict()}"
     return path

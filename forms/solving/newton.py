@@ -109,9 +109,11 @@ class Newton:
         scaled.get(runs.x)
         scaled.prescribe(runs.x)
         scaled.put(runs.x)
-        if problem.has_energy and not np.isfinite(problem.energy()):
+        crossed = problem.crossed()
+        if crossed or (problem.has_energy and not np.isfinite(problem.energy())):
             self.criteria.imbalance = None
-            return Convergence(False, undefined(problem), -1, 0, 0, 0, np.inf, 0.0, np.inf)
+            why = crossed or undefined(problem)
+            return Convergence(False, why, -1, 0, 0, 0, np.inf, 0.0, np.inf)
         self.used()
         ruined, runs.ruined, runs.until = runs.ruined, False, self.settings.near
         runs.merit = Merit.ENERGY if problem.minimization else Merit.RESIDUAL

@@ -46,10 +46,11 @@ def predict(newton: Any) -> None:
     runs.b.array[problem.constrained] = 0
     start = runs.x.copy()
     _carry(newton, assembled)
-    for x in (runs.x, start):  # without the carried step where that leaves no finite energy
+    # Without the carried step where that leaves no finite energy, or crosses an obstacle.
+    for x in (runs.x, start):
         scaled.prescribe(x)
         scaled.put(x)
-        if not problem.has_energy or np.isfinite(problem.energy()):
+        if (not problem.has_energy or np.isfinite(problem.energy())) and not problem.crossed():
             break
     start.destroy()
 

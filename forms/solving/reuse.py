@@ -81,6 +81,7 @@ def newton_for(
     With ``factorized`` the preset is MUMPS at any size, for paths past limit points, where the
     tangent is indefinite.
     """
+    problem.begin()
     settings = settings or Settings()
     if factorized:
         most = {kind: np.iinfo(np.int64).max for kind in settings.split_from}

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -255,17 +255,17 @@ class Runs:
 
     def _bounded(self, step: PETSc.Vec) -> bool:
         """Shorten a step that a term forbids; whether it was changed. Collective."""
-        if len(self.problem.terms) == 1:  # forms bound no step
+        if not self.problem.bounds_steps:
             return False
         fraction = self.allowed(step)
         step.scale(min(fraction, 1.0))
         return fraction < 1
 
-    def allowed(self, step: PETSc.Vec) -> float:
-        """Fraction of a scaled step that no term forbids. Collective."""
+    def allowed(self, step: PETSc.Vec, moves: Mapping[Any, float] | None = None) -> float:
+        """Fraction of a scaled step, and of Constants' moves, that no term forbids. Collective."""
         self.b.pointwiseMult(step, self.tangent.scaled.D)
         self.b.scale(-1)  # SNES takes x - step
-        return self.problem.largest_step(self.b)
+        return self.problem.largest_step(self.b, moves)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """SNES's convergence test: 0 to go on, else a code of :class:`Failure` or PETSc."""

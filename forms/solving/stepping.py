@@ -15,6 +15,7 @@ from ..files.checkpoint import Archive, Saved
 from ..paths import Convergence, Path, Step, recorded
 from ..problems import Problem
 from ..validity import Bounds
+from .certificates import certified_clearance
 from .progress import bar_of, watcher_of
 from .supported import failure
 
@@ -143,7 +144,8 @@ def advance(
                 outcome, notes = step
                 path.problem.commit()
                 notes |= recorded(record, path.problem)
-                path.steps.append(Step(control.load, outcome, notes, control.bounds))
+                clear = certified_clearance(path.problem)
+                path.steps.append(Step(control.load, outcome, notes, control.bounds, clear))
                 control.stepped()
                 bar.update(control.done - bar.n)
                 words = f"{control.symbol} = {control.load:.4g}, {outcome.iterations} iterations"
@@ -159,6 +161,8 @@ def advance(
                     save(now=True)
                     raise failure(path, sentence, advice)
                 bar.set_postfix_str(f"a shorter step: {control.why}")
+            else:  # a state on the way to a step
+                path.problem.commit()
         path.end(control.ended)
         if progress:
             _say(bar, path, path.reason)

@@ -15,7 +15,7 @@ from ...ledger import ORDINARY, Balance, verdict
 from ...paths import Convergence, Event, Path
 from ...validity import Bounds
 from ..accounts import Accounts
-from ..certificates import certified_volume
+from ..certificates import certified_clearance, certified_volume
 from ..corrector import Corrector
 from ..extrapolation import State, extrapolate
 from ..ladder import Failure
@@ -107,7 +107,29 @@ class Continuation(Branch):
         self.aim(self._goal)
         self._order, load = extrapolate(self.path.problem, self._past, self._goal)
         self.guess(load)
-        return self.corrector.solve(self.level)
+        return self._corrected()
+
+    def _corrected(self) -> Convergence:
+        """Correct the guess; by the energy where that fails and an obstacle acts. Collective.
+
+        Where contact begins the path bends, within so little that no contraction can be had; energy
+        and stability of what is found tell whether it is the path's.
+        """
+        problem, newton = self.path.problem, self.newton
+        values, q = problem.u.x.array.copy(), float(self.q.value)
+        outcome = self.corrector.solve(self.level)
+        if outcome.converged or not self.corrector.met:
+            return outcome
+        problem.u.x.array[:], self.q.value = values, q
+        if self.corrector.border is not None or not problem.minimization:
+            return self.corrector.solve(self.level, free=True)
+        newton.predict()
+        outcome = newton.solve()
+        newton.tangent.projecting = False
+        newton.tangent.forget_damping()
+        if not outcome.converged:
+            return outcome
+        return replace(outcome, negative=self.corrector.refactor(), tried=())
 
     def guess(self, load: float) -> None:
         """Take the extrapolated load factor, where that is an unknown."""
@@ -136,6 +158,9 @@ class Continuation(Branch):
     def refusal(self, outcome: Convergence) -> str:
         """Why a state that was found is not the path's; empty where it is. Collective."""
         self.bounds = certified_volume(self.path.problem)
+        clear = certified_clearance(self.path.problem)
+        if clear is not None and not clear.distance > 0:
+            return clear.words()
         return self._newly_inverted() or self._unbalanced() or self.unlike(outcome)
 
     def _newly_inverted(self) -> str:

@@ -171,6 +171,7 @@ class TimeSteps:
         if self._accounts is not None:
             row, sound = self._accounts.step(found)
         motion.u.x.array[:] = found.u
+        crossed = path.problem.crossed() if motion.scheme.middle else ""
         self.bounds = certified_volume(path.problem)
         size = self.newton.tangent.scaled.size
         least = ROUGH * size if motion.scheme.order == 1 or motion.scheme.two_step else 0.0
@@ -181,7 +182,7 @@ class TimeSteps:
             part, before = error / scale, self._part
             self._part = part
             ratio = 1.0 if before is not None and part > 0.5 * before else ratio
-        self._why = self._refusal(ratio, sound)
+        self._why = crossed or self._refusal(ratio, sound)
         if self._why:
             self._ratio = ratio
             path.refused += 1
