@@ -20,6 +20,7 @@ from . import (
 from . import validity as validity
 from .compilation import compiled
 from .condensation import plane_stress
+from .coulomb import friction
 from .evaluation import evaluate
 from .fields import field
 from .files.checkpoint import Checkpoint
@@ -106,6 +107,7 @@ __all__ = [  # in the order a user meets them
     "spring",
     "obstacle",
     "obstacles",
+    "friction",
     "clamp",
     "roller",
     "translate",

@@ -30,12 +30,17 @@ class Dissipation:
             displacement itself, whose rate is the velocity [m/s].
         dx: Measure; None for all cells of the body.
         per_mass: Whether phi is per mass [W/kg], to be multiplied by rho.
+        per_area: Whether phi is per area of a sheet, not to be multiplied by its thickness.
+        lags: Whether phi is a function of the rate and of the displacement that it lags at: a step
+            is solved again at its own end until the forces agree.
     """
 
-    phi: Callable[[Expr], Expr]
+    phi: Callable[..., Expr]
     of: Callable[[Expr], Expr] | None = None
     dx: ufl.Measure | None = None
     per_mass: bool = False
+    per_area: bool = False
+    lags: bool = False
 
     def __post_init__(self) -> None:
         if not callable(self.phi) or not (self.of is None or callable(self.of)):

@@ -68,6 +68,7 @@ class Motion:
         momenta: Momentum and angular momentum that a body which nothing holds has by the midpoint
             rule, shape (6,); else 0.
         stage: What the step in question minimizes.
+        lags: Whether a dissipation lags.
         dt, begun: Length of the step in question, and the time it begins at [s].
     """
 
@@ -92,9 +93,13 @@ class Motion:
         V, mesh = u.function_space, u.function_space.mesh
         self.velocity, self.acceleration = fem.Function(V, name="velocity"), fem.Function(V)
         self.acceleration.name = "acceleration"
-        self._last, self._before, self._start, self._drift = (fem.Function(V) for _ in range(4))
+        self._last, self._before, self._start, self._drift, self._lag = (
+            fem.Function(V) for _ in range(5)
+        )
         self._velocity_before = np.zeros_like(u.x.array)
-        self._c, self._b, self._inverse, self._strain_inverse = (_constant(mesh) for _ in range(4))
+        self._c, self._b, self._inverse, self._strain_inverse = (
+            _constant(mesh, 0.0) for _ in range(4)
+        )
         self._strain = [_constant(mesh) for _ in range(5)]
         given_: Any = dissipation
         listed = tuple(given_) if isinstance(given_, list | tuple) else (given_,)
@@ -107,7 +112,9 @@ class Motion:
         dx = _checks.measure(ufl.dx if dx is None else dx, "a mass")
         self.inertia = Inertia(u, field, rho, self._weight, dx, lumped)
         self._part, self._nodes = self.inertia.part, self.inertia.nodes
-        rates = [self._dissipated(each, self._density(each)) for each in listed]
+        self.lags = any(each.lags for each in listed)
+        found = [self._dissipated(each, self._density(each)) for each in listed]
+        rates = [parts_ for parts_ in found if parts_ is not None]
         arguments = [p for p in parts if isinstance(p, ufl.Form) and p.arguments()]
         own = [self.inertia.form(field.expression - self._part(self._start), self._c)]
         own += [form for form, _ in rates]
@@ -143,26 +150,29 @@ class Motion:
     def _density(self, each: Dissipation) -> Callable[[Expr], ufl.Form]:
         """How the density of a dissipation is integrated."""
         if each.dx is not None:
-            cells = each.dx.integral_type() == "cell"
-            return lambda f: f * (self._weight if cells else self._round) * each.dx
+            thick = each.dx.integral_type() == "cell" and not each.per_area
+            return lambda f: f * (self._weight if thick else self._round) * each.dx
         rho = self.inertia.rho if each.per_mass else 1.0
         return lambda f: rho * f * self._weight * self.inertia.dx
 
-    def _dissipated(self, each: Dissipation, density: Any) -> tuple[ufl.Form, ufl.Form]:
-        """Potential of a dissipation over a step, and the power that it takes."""
+    def _dissipated(self, each: Dissipation, density: Any) -> tuple[ufl.Form, ufl.Form] | None:
+        """Potential of a dissipation over a step, and the power it takes; None of a zero one."""
         x = self._field.expression
         if each.of is None:
             rate, inverse = self._b * x + self._part(self._drift), self._inverse
         else:
             rate, inverse = self._strain_rate(each.of), self._strain_inverse
         variable = ufl.variable(rate)
-        phi = each.phi(variable)
+        at = (self._part(self._lag),) if each.lags else ()
+        phi = each.phi(variable, *at)
         if getattr(phi, "ufl_shape", None) != ():
             raise ValueError(
                 f"a dissipation's phi is a scalar of the rate, got {type(phi).__name__} of shape "
                 f"{getattr(phi, 'ufl_shape', ())}."
             )
         power = ufl.inner(ufl.diff(phi, variable), variable)
+        if isinstance(phi, ufl.classes.Zero) or isinstance(power, ufl.classes.Zero):
+            return None
         return density(inverse * phi), density(power)
 
     def _strain_rate(self, of: Any) -> Expr:
@@ -252,9 +262,13 @@ class Motion:
         self._drift.x.array[held] = velocity - stage.rate * value
         for function in (self.u, self._start, self._drift):
             function.x.scatter_forward()
-        self._value = value
+        self._value, self._lag.x.array[:] = value, last
         self.stage, self.dt, self.begun = stage, dt, begin
         self._assign(stage.inertia, stage.rate, stage.strain)
+
+    def relag(self) -> None:
+        """Let dissipations lag at the step's present solution; local."""
+        self._lag.x.array[:] = self.u.x.array
 
     def stay(self) -> None:
         """Begin the step's solve from the last state, and not from where that leads freely."""
@@ -413,6 +427,7 @@ class Motion:
         self._assign(1.0, 1.0, (1.0, -1.0, 0.0, 1.0, 0.0))
         self._start.x.array[:] = self._last.x.array - self.acceleration.x.array
         self._drift.x.array[:] = self.velocity.x.array - self._last.x.array
+        self._lag.x.array[:] = self._last.x.array
         self.held.keep()
 
     def destroy(self) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,7 @@ class Obstacle(ufl.classes.Label):
         unset: Whether the stiffness has not been found yet.
         facet: Typical size of the facets [m].
         shift: The gap, where it is a number.
+        distance: The distance of a place, gap included, UFL in and UFL out.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Obstacle(ufl.classes.Label):
     stiffness: Any
     facet: float
     shift: float | None
+    distance: Callable[[Expr], Expr]
 
     @property
     def unset(self) -> bool:
@@ -180,7 +183,8 @@ def obstacle(
         label.shift = _checks.number(gap)
         place = ufl.SpatialCoordinate(mesh)
         label.bounds = Intervals(_shifted(one, place, gap, name, exact=True), place, name)
-        d = ufl.classes.Variable(_shifted(one, place + u, gap, name), label)
+        label.distance = partial(_shifted, one, gap=gap, name=name)
+        d = ufl.classes.Variable(label.distance(place + u), label)
         b = barrier(d, reach, stiffness)
 
         def density(F: Expr, b: Expr = b) -> Expr:

@@ -306,7 +306,8 @@ def test_benchmark_of_motion_runs(run, tmp_path):
     done = run("-m", "demos.benchmarks.motion", "--small", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     swings, throws, errors, costs = (
-        [row for row in rows if row["part"] == part] for part in ("swing", "thrown", "scheme", "cost")
+        [row for row in rows if row["part"] == part]
+        for part in ("swing", "thrown", "scheme", "cost")
     )
     assert all(abs(row["Hz"] / 1.0995 - 1) < 0.01 for row in swings)
     assert all(abs(row["uy amplitude"] / 65.160 - 1) < 0.02 for row in swings)

@@ -25,6 +25,8 @@ from ..reuse import release
 
 SAFE = 0.6  # of the tolerance, that the next step's local error aims at
 ROUGH = 1e-3  # of the body's size, a displacement that schemes which begin by order 1 resolve
+LAG = 1e-4  # of the force level, that forces which lag may be off
+AGREEMENTS = 20  # solves for them, at most
 SIMILAR = 1.3  # ratio of c up to which factors of the last step are tried
 
 
@@ -152,7 +154,27 @@ class TimeSteps:
         if self.corrector.tangents > self._counted or not similar:
             self._inertia = inertia
         self._count_tangents()
-        return outcome if outcome.converged else self._minimize(outcome)
+        outcome = outcome if outcome.converged else self._minimize(outcome)
+        return self._agree(outcome) if self.motion.lags and outcome.converged else outcome
+
+    def _agree(self, outcome: Convergence) -> Convergence:
+        """Solve again until forces that lag are those of the step itself. Collective."""
+        scaled, iterations = self.newton.tangent.scaled, outcome.iterations
+        b = self.path.problem.create_vector()
+        for _ in range(AGREEMENTS):
+            self.motion.relag()
+            level = max(scaled.residual(b), self._level, outcome.force_level)
+            if b.norm() <= max(LAG * level, scaled.floor()):
+                break
+            outcome = self.corrector.solve(level, keep=True)
+            iterations += outcome.iterations
+            if not outcome.converged:
+                break
+        else:
+            outcome = replace(outcome, converged=False, reason="friction does not settle")
+        self._count_tangents()
+        b.destroy()
+        return replace(outcome, iterations=iterations)
 
     def _minimize(self, first: Convergence) -> Convergence:
         """The same step by a minimization, from the last state. Collective."""
