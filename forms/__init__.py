@@ -67,6 +67,7 @@ from .supports import (
     rotate,
     translate,
 )
+from .touching import touching
 from .unknowns import (
     Role,
     displacement,
@@ -108,6 +109,7 @@ __all__ = [  # in the order a user meets them
     "obstacle",
     "obstacles",
     "friction",
+    "touching",
     "clamp",
     "roller",
     "translate",

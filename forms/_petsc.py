@@ -68,6 +68,16 @@ def option_was_used(name: str) -> bool:
     return bool(used.value)
 
 
+def replace_by_sum(A: PETSc.Mat, summands: list[PETSc.Mat]) -> None:
+    """Let A be the sum of matrices, with their joint pattern, for all who hold it. Collective."""
+    total = ctypes.c_void_p()
+    _call("MatDuplicate", ctypes.c_void_p(summands[0].handle), 1, ctypes.byref(total))
+    for other in summands[1:]:
+        one, pattern = ctypes.c_double(1.0), 0  # DIFFERENT_NONZERO_PATTERN
+        _call("MatAXPY", total, one, ctypes.c_void_p(other.handle), pattern)
+    _call("MatHeaderReplace", ctypes.c_void_p(A.handle), ctypes.byref(total))
+
+
 def lag_jacobian(snes: PETSc.SNES, lag: int) -> None:
     """How often SNES assembles its Jacobian: 1 always, -1 never again, -2 once more; collective."""
     _call("SNESSetLagJacobian", ctypes.c_void_p(snes.handle), lag)

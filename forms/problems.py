@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
-from . import _checks
+from . import _checks, _petsc
 from .supports import Support
 from .terms import FormTerm, Term
 from .unknowns import Field, displacement_field, fields_of
@@ -64,6 +64,7 @@ class Problem:
         degree = (field or next(iter(fields_of(u).values()))).degree
         self.u, self.supports = u, _listed(supports, u)
         self.solver: Any = None
+        self._uncoupled: PETSc.Mat | None = None
         self.motion: Any = None
         potential, others = _parted(potential)
         _check_parts(potential, u)
@@ -191,11 +192,38 @@ class Problem:
         if projected:
             self.prepare_projection()
         self.prepare()
-        for term in self.terms:
-            term.tangent(A, projected)
+        if self.couples:
+            self._coupled_tangent(A, projected)
+        else:
+            for term in self.terms:
+                term.tangent(A, projected)
         if len(self.terms) > 1:
             rows = self.constrained + A.getOwnershipRange()[0]
             A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
+
+    @property
+    def couples(self) -> bool:
+        """Whether a term joins unknowns that no cell joins: the tangent's pattern changes."""
+        return any(getattr(term, "couples", False) for term in self.terms)
+
+    def _coupled_tangent(self, A: PETSc.Mat, projected: bool) -> None:
+        """Assemble into a matrix of the forms' own pattern, add what couples, and put it in A."""
+        if self._uncoupled is None:
+            self._uncoupled = self.forms.create_matrix()
+        for term in self.terms:
+            term.tangent(self._uncoupled, projected)
+        couplings = [
+            term.coupling(A, projected) for term in self.terms if getattr(term, "couples", False)
+        ]
+        kept = A.getNearNullSpace()
+        _petsc.replace_by_sum(A, [self._uncoupled, *couplings])
+        for coupling in couplings:
+            coupling.destroy()
+        if kept:
+            A.setNearNullSpace(kept)
+        if self.symmetric:
+            A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            A.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
     def prepare_projection(self) -> None:
         """Compile the projected tangent, once. Collective.
@@ -228,11 +256,13 @@ class Problem:
 
     def crossed(self) -> str:
         """What the way from the last accepted state to u crosses, in words. Collective."""
-        return self.forms.barriers.crossed()
+        words = (term.crossed() for term in self.terms if hasattr(term, "crossed"))
+        return self.forms.barriers.crossed() or next(filter(None, words), "")
 
     def touches(self) -> bool:
         """Whether obstacles act at u. Collective."""
-        return self.forms.barriers.near()
+        acting = [term.near() for term in self.terms if hasattr(term, "near")]
+        return self.forms.barriers.near() or any(acting)
 
     def begin(self) -> None:
         """Take the present state for the start of a path. Collective.
@@ -242,6 +272,9 @@ class Problem:
         """
         if self.forms.barriers:
             self.forms.barriers.begin()
+        for term in self.terms:
+            if hasattr(term, "begin"):
+                term.begin()
 
     def commit(self) -> None:
         """Take the present state for the last accepted one. Collective."""

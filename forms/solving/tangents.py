@@ -111,6 +111,9 @@ class Tangent:
                 self.kept.prepare(self.A)
                 return
         self.scaled.tangent(self.projecting)
+        if self.problem.couples:  # a factorization of another pattern
+            self.ksp.getPC().reset()
+            self.ksp.setOperators(self.product, self.A)
         self.use()
 
     def use(self) -> None:

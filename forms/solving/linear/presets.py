@@ -81,7 +81,7 @@ def preset(problem: Problem, A: PETSc.Mat | None = None, settings: Any = None) -
         settings: :class:`forms.solving.settings.Settings` with the sizes from which on.
     """
     V = problem.u.function_space
-    if V.mesh.topology.dim != 3:
+    if V.mesh.topology.dim != 3 or problem.couples:
         return direct(problem.symmetric)
     direct_up_to = DIRECT_UP_TO if settings is None else settings.direct_up_to
     split_from = SPLIT_FROM if settings is None else settings.split_from

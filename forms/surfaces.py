@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Surfaces that may touch each other, as flat pieces between points that follow the unknown.
+
+Each facet is cut into parts, whose corners are combinations of the nodes on it. All ranks know all
+points, and the places of all nodes that move them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import basix
+import numpy as np
+import scipy.sparse
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from . import _dolfinx
+from ._parallel import bounding_box
+from .barriers import _charts
+from .boundaries import entities, facet_type
+from .unknowns import Field
+
+Array = NDArray[Any]
+SAME = 1e-9  # of the body's size, up to which two points are one
+
+
+class Surface:
+    """Points, segments and triangles of boundaries, and what moves them. Collective.
+
+    Args:
+        u: Unknown.
+        field: Its displacement.
+        measures: Of the boundaries; of membranes that of cells.
+        parts: Parts of each edge of a facet.
+
+    Attributes:
+        points: Reference positions, shape (n, dim).
+        edges, faces: Numbers of points; no faces in the plane.
+        map: Displacements of the points from those of the nodes, sparse, shape (n, nodes).
+        dofs: Global numbers of the nodes' degrees of freedom, shape (nodes, dim).
+    """
+
+    def __init__(
+        self, u: fem.Function, field: Field, measures: Sequence[ufl.Measure], parts: int
+    ) -> None:
+        self._u, mesh, dim = u, u.function_space.mesh, u.function_space.mesh.geometry.dim
+        comm = mesh.comm
+        found = [self._facets(field, measure, parts) for measure in measures]
+        gathered = [piece for pieces in comm.allgather(found) for piece in pieces]
+        X = np.concatenate([piece[0] for piece in gathered])
+        weights = np.concatenate([piece[1] for piece in gathered])
+        dofs = np.concatenate([piece[2] for piece in gathered])
+        offsets = np.cumsum([0] + [len(piece[0]) for piece in gathered[:-1]])
+        cells = np.concatenate([p[3] + n for p, n in zip(gathered, offsets, strict=True)])
+        low, high = bounding_box(comm, mesh.geometry.x)
+        keys = np.round(X / (SAME * float(np.linalg.norm(high - low)))).astype(np.int64)
+        # Two surfaces that lie on each other keep their points apart by what moves them.
+        keys = np.c_[keys, np.where(weights > SAME, dofs[:, :, 0], -1).max(axis=1)]
+        _, first, point = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        point = point.ravel()
+        self.points = np.asfortranarray(X[first])
+        nodes, number = np.unique(dofs[first].reshape(-1, dim), axis=0, return_inverse=True)
+        rows = np.repeat(np.arange(len(first)), weights.shape[1])
+        entries = (weights[first].ravel(), (rows, number.ravel()))
+        self.map = scipy.sparse.csr_matrix(entries, shape=(len(first), len(nodes)))
+        self.dofs = nodes
+        cells = point[cells].astype(np.int32)
+        corners = [(0, 1)] if cells.shape[1] == 2 else [(0, 1), (1, 2), (2, 0)]
+        pairs = np.concatenate([np.sort(cells[:, pair], axis=1) for pair in corners])
+        self.edges = np.asfortranarray(np.unique(pairs, axis=0).astype(np.int32))
+        flat = cells if cells.shape[1] == 3 else np.empty((0, 3), np.int32)
+        self.faces = np.asfortranarray(flat)
+        self._own()
+
+    def _facets(self, field: Field, measure: ufl.Measure, parts: int) -> tuple[Array, ...]:
+        """This rank's points, their weights and global degrees of freedom, and pieces; local."""
+        V = self._u.function_space
+        mesh, dim = V.mesh, V.mesh.geometry.dim
+        where = entities(mesh, measure)
+        lattice, pieces = _lattice(facet_type(mesh, measure), parts)
+        charts = _charts(mesh, lattice, where.shape[1] == 2)
+        whole = field.space.ufl_element()
+        element = whole if field.place is None else whole.sub_elements[field.place]
+        scalar = element.sub_elements[0]
+        numbers = field.view.dofmap.list[where[:, 0]]
+        numbers = dim * numbers if field.place is None else numbers[:, ::dim]
+        geometry = _dolfinx.geometry_dofmap(mesh)[where[:, 0]]
+        chart = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+        sides = where[:, 1] if where.shape[1] == 2 else np.zeros(len(where), np.int32)
+        X, weights, dofs = [], [], []
+        for side, at in enumerate(charts):
+            mine = sides == side
+            N = scalar.tabulate(0, at)[0]
+            kept = np.flatnonzero(np.abs(N).max(axis=0) > 1e-12)
+            shape = chart.tabulate(0, at)[0]
+            x = np.einsum("pa,fai->fpi", shape, mesh.geometry.x[geometry[mine], :dim])
+            X.append(x.reshape(-1, dim))
+            local = numbers[mine][:, kept, None] + np.arange(dim)
+            dofs.append(np.repeat(_global(V, local), len(at), axis=0))
+            weights.append(np.tile(N[:, kept], (int(mine.sum()), 1)))
+        count = np.arange(len(where))[:, None, None] * len(lattice)
+        cells = (count + pieces).reshape(-1, pieces.shape[1])
+        return np.concatenate(X), np.concatenate(weights), np.concatenate(dofs), cells
+
+    def _own(self) -> None:
+        """Find which of the nodes this rank has."""
+        dofmap = self._u.function_space.dofmap
+        first = dofmap.index_map.local_range[0] * dofmap.bs
+        owned = dofmap.index_map.size_local * dofmap.bs
+        local = self.dofs - first
+        self._mine = np.flatnonzero(np.all((local >= 0) & (local < owned), axis=1))
+        self._local = local[self._mine]
+
+    def gathered(self, values: Array) -> Array:
+        """Displacements of the points, from an array of the unknown, alike on all ranks."""
+        total = np.zeros(self.dofs.shape)
+        total[self._mine] = values[self._local]
+        return self.map @ self._u.function_space.mesh.comm.allreduce(total)
+
+    def places(self) -> Array:
+        """Places of the points at u. Collective."""
+        return np.asfortranarray(self.points + self.gathered(self._u.x.array))
+
+    def own_forces(self, forces: Array) -> tuple[Array, Array]:
+        """Forces at this rank's degrees of freedom from those at the points: numbers, values."""
+        at_nodes = self.map.T @ forces.reshape(self.points.shape)
+        return self._local.ravel(), at_nodes[self._mine].ravel()
+
+    def own_stiffness(self, H: Any) -> tuple[Array, Array, Array]:
+        """Rows of a stiffness between points that this rank has, as triplets of global numbers."""
+        dim = self.points.shape[1]
+        spread = scipy.sparse.kron(self.map, scipy.sparse.identity(dim), format="csr")
+        K = (spread.T @ H @ spread).tocsr()
+        rows = (self._mine[:, None] * dim + np.arange(dim)).ravel()
+        part = K[rows].tocoo()
+        names = self.dofs.ravel()
+        return names[rows[part.row]], names[part.col], part.data
+
+
+def _global(V: fem.FunctionSpace, dofs: Array) -> Array:
+    """Global numbers of local degrees of freedom."""
+    bs, imap = V.dofmap.bs, V.dofmap.index_map
+    blocks = imap.local_to_global((dofs // bs).ravel().astype(np.int32))
+    return np.asarray(blocks).reshape(dofs.shape) * bs + dofs % bs
+
+
+def _lattice(cell: basix.CellType, parts: int) -> tuple[Array, Array]:
+    """Points on a reference facet, and segments or triangles between them."""
+    s = np.linspace(0, 1, parts + 1)
+    if cell == basix.CellType.interval:
+        k = np.arange(parts)
+        return s[:, None], np.stack([k, k + 1], axis=1)
+    n = parts + 1
+    if cell == basix.CellType.quadrilateral:
+        x, y = np.meshgrid(s, s, indexing="ij")
+        a = (np.arange(parts)[:, None] * n + np.arange(parts)).ravel()
+        squares = np.stack([a, a + n, a + n + 1, a + 1], axis=1)
+        halves = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+        return np.c_[x.ravel(), y.ravel()], halves
+    places = [(i, j) for i in range(n) for j in range(n - i)]
+    number = {place: k for k, place in enumerate(places)}
+    triangles = []
+    for i, j in places:
+        if i + j < parts:
+            triangles.append([number[i, j], number[i + 1, j], number[i, j + 1]])
+        if i + j < parts - 1:
+            triangles.append([number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]])
+    return np.array(places, float) / parts, np.array(triangles)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: MIT
+"""Contact of deformable surfaces, with each other and with themselves, without friction.
+
+A term of a potential: barriers between points, segments and triangles that come nearer than dhat,
+with exact derivatives, and continuous collision detection that lets no step pass a surface through
+another. By ipctk (Li et al., ACM Trans. Graph. 39 (2020) 49), an optional package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import scipy.sparse
+import ufl
+from numpy.typing import NDArray
+
+from . import _checks
+from ._types import Expr
+from .boundaries import sizes
+from .surfaces import Surface
+from .unknowns import field_of
+
+FINE = 0.1  # of the smallest facet: default reach of the barrier
+KEPT = 0.9  # of the way to a collision that a step may go
+STIFF = 0.2  # of the body's own stiffness, as of obstacles
+
+
+class Touching:
+    """Surfaces that do not pass through each other nor through themselves, a summand of a potential.
+
+    ``forms.solve([psi * ufl.dx, forms.touching(u, body.ds("top", "below"))], u, …)``
+
+    sum w b(d) over pairs of points and triangles, and of edges, nearer than dhat, w an area and b
+    IPC's barrier; see :func:`touching`.
+
+    Attributes:
+        surface: Points and pieces.
+        dhat: Reach [m].
+        stiffness: Pressure scale [Pa].
+        couples: True: its tangent joins nodes that no cell joins.
+    """
+
+    couples = True
+
+    def __init__(
+        self, u: Expr, ds: Any, dhat: float | None, stiffness: float, thickness: float, parts: Any
+    ) -> None:
+        self._ipc = _ipctk()
+        w, field = field_of(u, "contact")
+        if not field.is_displacement:
+            raise ValueError(f"contact needs the displacement, got the field {field.name}.")
+        listed = list(ds) if isinstance(ds, list | tuple) else [ds]
+        mesh = w.function_space.mesh
+        measures = [_checks.measure(each, "contact") for each in listed]
+        measures = [each if each.ufl_domain() is not None else each(domain=mesh) for each in measures]
+        smallest = min(sizes(mesh, each)[0] for each in measures)
+        parts = field.degree if parts is None else parts
+        if not isinstance(parts, int) or parts < 1:
+            raise ValueError(f"parts of contact is a whole number of at least 1, got {parts}.")
+        dhat = FINE * smallest / parts if dhat is None else dhat
+        if not (_checks.number(dhat) is not None and 0 < dhat <= smallest):
+            raise ValueError(
+                f"dhat of contact is a length above 0 and up to the smallest facet, "
+                f"{smallest:.4g}, got {dhat}: a tenth of the facets is the default."
+            )
+        if not (_checks.number(stiffness) is not None and 0 < stiffness < np.inf):
+            raise ValueError(f"the stiffness of contact is a pressure above 0 [Pa], got {stiffness}.")
+        if not (_checks.number(thickness) is not None and 0 <= thickness < np.inf):
+            raise ValueError(f"a thickness is not negative, got {thickness}.")
+        self.dhat, self.stiffness, self.thickness = float(dhat), float(stiffness), float(thickness)
+        self._u, self._comm = w, mesh.comm
+        self.surface = Surface(w, field, measures, parts)
+        ipc, surface = self._ipc, self.surface
+        self._mesh = ipc.CollisionMesh(surface.points, surface.edges, surface.faces)
+        # The barrier has the unit of a pressure times a length, whatever dhat is.
+        self._potential = ipc.BarrierPotential(self.dhat, self.stiffness, True)
+        self._pairs = ipc.NormalCollisions()
+        self._pairs.use_area_weighting = True
+        self._pairs.collision_set_type = ipc.NormalCollisions.IMPROVED_MAX_APPROX
+        self._x = np.empty((0, 0))
+        self._last = surface.places()
+
+    def begin(self) -> None:
+        """Take the present state for a start. Collective.
+
+        Raises:
+            ValueError: surfaces cross there, or touch.
+        """
+        x = self.surface.places()
+        place = self._crossing(x)
+        if place:
+            raise ValueError(
+                f"surfaces cross or touch at the start, at {place}: begin with a gap between them, "
+                "or move one by a support first."
+            )
+        self._last = x
+
+    def _crossing(self, x: NDArray) -> str:
+        """Where surfaces cross, or are no further apart than the thickness; empty for nowhere."""
+        ipc = self._ipc
+        pairs = ipc.NormalCollisions()
+        pairs.build(self._mesh, x, self.dhat, self.thickness)
+        least = np.inf
+        if not pairs.empty():
+            least = float(np.sqrt(max(pairs.compute_minimum_distance(self._mesh, x), 0.0)))
+        bad = bool(ipc.has_intersections(self._mesh, x)) or not least > self.thickness
+        if not self._comm.bcast(bad, root=0):
+            return ""
+        near = [pairs[k] for k in range(min(len(pairs), 1))]
+        ids = [i for pair in near for i in pair.vertex_ids(self._mesh.edges, self._mesh.faces)]
+        at = x[[i for i in ids if i >= 0]].mean(axis=0) if ids else x.mean(axis=0)
+        at = self._comm.bcast(at, root=0)
+        return f"({', '.join(f'{c:.4g}' for c in at)})"
+
+    def prepare(self) -> None:
+        """Find the pairs that are near at the present state. Collective."""
+        x = self.surface.places()
+        if self._x.shape != x.shape or not np.array_equal(self._x, x):
+            self._x = x
+            self._pairs.build(self._mesh, x, self.dhat, self.thickness)
+
+    def energy(self) -> float:
+        """Barrier energy [J]. Collective."""
+        if not np.all(np.isfinite(self._x)):
+            return np.inf
+        own = float(self._potential(self._pairs, self._mesh, self._x))
+        return float(self._comm.bcast(own, root=0))
+
+    def forces(self) -> NDArray:
+        """Derivative of the energy by the points' places [N], shape (n, dim)."""
+        g = self._potential.gradient(self._pairs, self._mesh, self._x)
+        return np.asarray(g).reshape(self._x.shape)
+
+    def residual(self, b: PETSc.Vec) -> None:
+        """Add the derivative of the energy. Collective."""
+        numbers, values = self.surface.own_forces(self.forces())
+        with b.localForm() as local:
+            local.array[numbers] += values
+
+    def coupling(self, A: PETSc.Mat, projected: bool = False) -> PETSc.Mat:
+        """Second derivative of the energy, of A's layout; a matrix of its own. Collective."""
+        ipc = self._ipc
+        how = ipc.PSDProjectionMethod.CLAMP if projected else ipc.PSDProjectionMethod.NONE
+        H = self._potential.hessian(self._pairs, self._mesh, self._x, how)
+        rows, columns, values = self.surface.own_stiffness(H)
+        (own, total), first = A.getSizes()[0], A.getOwnershipRange()[0]
+        shape = own, total
+        local = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=shape)
+        csr = local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data
+        return PETSc.Mat().createAIJ(A.getSizes(), csr=csr, comm=self._comm)
+
+    def largest_step(self, step: PETSc.Vec) -> float:
+        """Fraction of a step before surfaces meet, nine tenths of it. Collective."""
+        own = step.array_r
+        move = self.surface.gathered(np.pad(own, (0, len(self._u.x.array) - len(own))))
+        x = self.surface.places()
+        return self._free(x, np.asfortranarray(x + move))
+
+    def _free(self, x: NDArray, to: NDArray) -> float:
+        if not np.all(np.isfinite(to)):
+            return 1.0
+        found = self._ipc.compute_collision_free_stepsize(self._mesh, x, to, self.thickness)
+        found = 1.0 if found >= 1 else KEPT * found
+        return float(self._comm.bcast(found, root=0))
+
+    def crossed(self) -> str:
+        """What the way from the last accepted state to u passes through, in words. Collective."""
+        x = self.surface.places()
+        if np.array_equal(x, self._last):
+            return ""
+        free = self._ipc.is_step_collision_free(self._mesh, self._last, x, self.thickness)
+        return "" if self._comm.bcast(bool(free), root=0) else "surfaces would pass each other"
+
+    def certified(self) -> bool:
+        """Whether no two pieces of the surfaces cross at u, by a check without any way. Collective."""
+        found = not self._ipc.has_intersections(self._mesh, self.surface.places())
+        return bool(self._comm.bcast(found, root=0))
+
+    def near(self) -> bool:
+        """Whether any pair is nearer than dhat at u. Collective."""
+        self.prepare()
+        return bool(self._comm.bcast(not self._pairs.empty(), root=0))
+
+    def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
+        """Nothing: it has entries where A has none, see :meth:`coupling`."""
+
+    def commit(self) -> None:
+        """Take the present state for the last accepted one. Collective."""
+        self._last = self.surface.places()
+
+    def rollback(self) -> None:
+        """Return to the last accepted state. Collective."""
+        self.prepare()
+
+    def history(self) -> dict[str, NDArray]:
+        """Nothing besides the unknown."""
+        return {}
+
+
+def touching(
+    u: Expr,
+    ds: ufl.Measure | Sequence[ufl.Measure],
+    stiffness: float,
+    dhat: float | None = None,
+    thickness: float = 0.0,
+    parts: int | None = None,
+) -> Touching:
+    """Contact of surfaces with each other and with themselves, without friction. Collective.
+
+    Args:
+        u: Displacement [m]; of a mixed unknown w["u"].
+        ds: Boundaries that may touch, as ``body.ds("upper", "lower")``; of membranes ``ufl.dx``.
+        stiffness: Pressure scale of the barrier [Pa]: about a tenth of the body's modulus.
+        dhat: Distance from which on the barrier acts [m]; by default a tenth of the smallest part
+            of a facet.
+        thickness: Distance that is kept from middle to middle of sheets [m].
+        parts: Parts of each edge of a facet, flat pieces between points; by default the degree.
+
+    Returns:
+        Term to be passed in a list with the potential, ``[psi * ufl.dx, term]``. All ranks know the
+        whole surface, and each evaluates all pairs: on many ranks this part does not get faster.
+
+    Raises:
+        ImportError: ipctk is missing.
+        ValueError: an argument of the wrong kind, or dhat larger than the smallest facet.
+    """
+    return Touching(u, ds, dhat, stiffness, thickness, parts)
+
+
+def _ipctk() -> Any:
+    try:
+        import ipctk
+    except ImportError as error:
+        raise ImportError(
+            "contact of surfaces needs ipctk, which is not installed: pip install ipctk==1.6.0 "
+            "(later ones need processors with AVX-512); rigid obstacles, forms.obstacle, need none."
+        ) from error
+    ipctk.set_num_threads(1)  # alike on all ranks, which are the threads
+    return ipctk
