@@ -12,7 +12,6 @@ from typing import Any
 
 import basix
 import numpy as np
-import scipy.sparse
 import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
@@ -63,6 +62,8 @@ class Surface:
         point = point.ravel()
         self.points = np.asfortranarray(X[first])
         nodes, number = np.unique(dofs[first].reshape(-1, dim), axis=0, return_inverse=True)
+        import scipy.sparse  # takes its time, and is for contact only
+
         rows = np.repeat(np.arange(len(first)), weights.shape[1])
         entries = (weights[first].ravel(), (rows, number.ravel()))
         self.map = scipy.sparse.csr_matrix(entries, shape=(len(first), len(nodes)))
@@ -131,6 +132,8 @@ class Surface:
 
     def own_stiffness(self, H: Any) -> tuple[Array, Array, Array]:
         """Rows of a stiffness between points that this rank has, as triplets of global numbers."""
+        import scipy.sparse
+
         dim = self.points.shape[1]
         spread = scipy.sparse.kron(self.map, scipy.sparse.identity(dim), format="csr")
         K = (spread.T @ H @ spread).tocsr()

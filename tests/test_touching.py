@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: MIT
+"""Contact of deformable surfaces: derivatives, stacked blocks, a crushed ring, ranks, bad input."""
+
+from itertools import combinations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from conftest import scripts
+
+from variform import forms, meshes
+
+pytest.importorskip("ipctk", reason="ipctk, an optional package, is not installed")
+
+STACK = """
+import numpy as np
+from variform import meshes
+
+
+def stack(comm, below, above, gap, dim=2):
+    \"\"\"Two unit blocks of different meshes on each other, a gap between them.\"\"\"
+    points, cells, names, start = [], [], {}, 0
+    for name, n, y in (("low", below, 0.0), ("up", above, 1.0 + gap)):
+        axes = [np.linspace(0, 1, n + 1)] * dim
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+        number = np.arange((n + 1) ** dim).reshape((n + 1,) * dim)
+        i = [number[tuple(slice(a, a + n) for a in corner)].ravel()
+             for corner in np.ndindex((2,) * dim)]
+        order = [0, 2, 3, 1] if dim == 2 else [0, 4, 6, 2, 1, 5, 7, 3]
+        cells.append(np.stack([i[k] for k in order], axis=1) + start)
+        ids = np.arange(len(grid)) + start
+        names[f"{name} face"] = ids[grid[:, -1] == (1.0 if name == "low" else 0.0)]
+        names[f"{name} end"] = ids[grid[:, -1] == (0.0 if name == "low" else 1.0)]
+        for axis in range(dim - 1):
+            for value in (0.0, 1.0):
+                side = names.setdefault(f"side {axis}", np.empty(0, int))
+                names[f"side {axis}"] = np.r_[side, ids[grid[:, axis] == value]]
+        grid = grid.copy()
+        grid[:, -1] += y
+        points.append(grid)
+        start += len(grid)
+    kind = {2: "quadrilateral", 3: "hexahedron"}[dim]
+    return meshes.from_arrays(
+        comm, np.concatenate(points), np.concatenate(cells), cell=kind, boundaries=names
+    )
+"""
+exec(STACK)  # the same text goes to programs on several ranks
+stack = globals()["stack"]
+
+
+def pressed(comm, below, above, dhat, degree=1, dim=2, parts=None, by=0.1):
+    """The stack pressed together between rollers, so that all stress is uniform."""
+    body = stack(comm, below, above, 0.5 * dhat, dim)
+    t, u = forms.load_factor(body), forms.displacement(body, degree)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    faces = body.ds("low face", "up face")
+    term = forms.touching(u, faces, stiffness=1.0, dhat=dhat, parts=parts)
+    held = [forms.roller(u, body.facets(f"side {k}"), k) for k in range(dim - 1)]
+    held.append(forms.roller(u, body.facets("low end"), dim - 1))
+    down = [None] * (dim - 1) + [-by * t]
+    held.append(forms.translate(u, body.facets("up end"), down))
+    return body, term, forms.follow([psi, term], u, held, t, progress=False)
+
+
+def deviation(body, path):
+    """Largest deviation of the normal stress beside the interface from its mean."""
+    F, dim = forms.deformation_gradient(path.u), body.mesh.geometry.dim
+    P = forms.stress.first_piola(forms.energies.neo_hookean(F, 1.0, 2.0), F)
+    stress = forms.field(P[dim - 1, dim - 1], body.mesh, 0).x.array
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, dim - 1]
+    beside = stress[np.abs(middle - 1) < (1 / 8 if dim == 2 else 1 / 3)]
+    return np.abs(beside / beside.mean() - 1).max()
+
+
+def test_derivatives_of_the_barrier_have_their_rates():
+    """E, R and K of two rough faces: differences along a random direction are of rate 2."""
+    rng = np.random.default_rng(1)
+    body = stack(MPI.COMM_SELF, 3, 4, 0.05)
+    u = forms.displacement(body, 2)
+    term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.08)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1e-3, 1e-3) * ufl.dx
+    problem = forms.Problem([psi, term], u)
+    # Aside, so that no corner lies above another, where nearest points change places.
+    u.interpolate(lambda x: np.stack([0.027 * (x[1] > 1.02), 0 * x[0]]))
+    u.x.array[:] += 0.004 * rng.standard_normal(len(u.x.array))
+    start, v = u.x.array.copy(), rng.standard_normal(len(u.x.array))
+    b, A = problem.create_vector(), problem.create_matrix()
+    problem.residual(b)
+    problem.tangent(A)
+    x = b.duplicate()
+    x.array[:] = v
+    slope, curvature = b.dot(x), x.dot(A * x)
+    assert term.near() and term.energy() > 0
+    first, second = [], []
+    for h in (4e-5, 2e-5, 1e-5):
+        energies, slopes = [], []
+        for sign in (1, -1):
+            u.x.array[:] = start + sign * h * v
+            energies.append(problem.energy())
+            problem.residual(b)
+            slopes.append(b.dot(x))
+        first.append(abs((energies[0] - energies[1]) / (2 * h) - slope))
+        second.append(abs((slopes[0] - slopes[1]) / (2 * h) - curvature))
+    assert np.log2(first[0] / first[2]) / 2 == pytest.approx(2, abs=0.1)
+    assert np.log2(second[0] / second[2]) / 2 == pytest.approx(2, abs=0.1)
+
+
+def test_stacked_blocks_of_different_meshes_press_evenly():
+    """8 cells on 13: forces balance to rounding; the stress beside them is even within 1 %."""
+    found = {}
+    for dhat in (1 / 260, 1 / 1040):
+        for parts in (1, 3):
+            body, _, path = pressed(MPI.COMM_SELF, 8, 13, dhat, parts=parts)
+            up, low = (forms.resultant(path, body.facets(f"{n} end"))[0][1] for n in ("up", "low"))
+            assert abs(up + low) < 1e-10 * abs(up)
+            found[dhat, parts] = deviation(body, path)
+    near, far = 1 / 1040, 1 / 260
+    assert found[far, 3] < 0.01 and found[far, 1] > 0.01  # at vertices alone 1.4 %
+    assert found[near, 3] < found[far, 3] < found[far, 1] and found[near, 1] < found[far, 1]
+    # The closed state: two blocks in series, the gap in between.
+    body, term, path = pressed(MPI.COMM_SELF, 8, 13, near)
+    gap = np.diff(np.sort(np.unique(np.round(term.surface.places()[:, 1], 9)))).max()
+    left = (2 + 0.5 * near - 0.1 - gap) / 2
+    exact = -1.0 * (left - 1 / left) - 2.0 * np.log(left) / left
+    force = -forms.resultant(path, body.facets("up end"))[0][1]
+    assert force == pytest.approx(exact, rel=2e-3)
+
+
+@pytest.mark.parametrize(("degree", "dim"), [(2, 2), (1, 3)])
+def test_stacked_blocks_of_degree_2_and_in_space(degree, dim):
+    """Within 2 % with the default parts; nothing crosses."""
+    below, above = (8, 13) if dim == 2 else (3, 4)
+    body, term, path = pressed(MPI.COMM_SELF, below, above, 0.05 / above, degree, dim)
+    assert deviation(body, path) < 0.02 and term.certified() and term.near()
+    assert all(step.bounds.lower > 0 for step in path.steps)
+
+
+def crossing(x, pairs):
+    """Pairs of segments that cross, by signs of areas: nothing of the package's."""
+
+    def area(a, b, c):
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    found = 0
+    for (a, b), (c, d) in combinations(pairs, 2):
+        if {a, b} & {c, d}:
+            continue
+        p, q, r, s = x[a], x[b], x[c], x[d]
+        found += area(p, q, r) * area(p, q, s) < 0 and area(r, s, p) * area(r, s, q) < 0
+    return found
+
+
+def test_a_ring_is_crushed_flat_between_two_plates():
+    """Its inner face meets itself; nothing crosses by a check of its own, J > 0 everywhere."""
+    n, radii = 32, (0.9, 1.0)
+    angles = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    points = np.array([[r * np.cos(a), r * np.sin(a)] for a in angles for r in radii])
+    k = np.arange(n)
+    cells = np.stack([2 * k, 2 * k + 1, 2 * ((k + 1) % n) + 1, 2 * ((k + 1) % n)], axis=1)
+    names = {"inner": 2 * k, "outer": 2 * k + 1}
+    body = meshes.from_arrays(MPI.COMM_SELF, points, cells, cell="quadrilateral", boundaries=names)
+    t, u = forms.load_factor(body), forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    psi += 5e-5 * ufl.inner(u, u) * ufl.dx  # sideways nothing else holds it
+    for sign in (1, -1):
+        plate = forms.obstacles.plane((0, sign * (1.005 - 0.9 * t)), (0, -sign))
+        psi += forms.obstacle(u, plate, body.ds("outer"), dhat=0.01, stiffness=1.0)
+    term = forms.touching(u, body.ds("inner"), stiffness=1.0, dhat=0.02)
+    path = forms.follow([psi, term], u, [], t, progress=False)
+    assert path.completed and term.near()
+    x = term.surface.places()
+    assert np.ptp(x[:, 1]) < 0.1 and crossing(x, term.surface.edges.tolist()) == 0
+    assert term.certified() and all(step.bounds.lower > 0 for step in path.steps)
+    assert all(step.clearance.distance > 0 for step in path.steps)
+
+
+RANKS = (
+    STACK
+    + """
+import json
+from mpi4py import MPI
+import ufl
+from variform import forms
+
+body = stack(MPI.COMM_WORLD, 3, 4, 0.01, dim=3)
+t, u = forms.load_factor(body), forms.displacement(body)
+psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.02)
+held = [forms.clamp(u, body.facets("low end"))]
+held.append(forms.translate(u, body.facets("up end"), (0.03 * t, 0, -0.1 * t)))
+path = forms.follow([psi, term], u, held, t, progress=False)
+force, _ = forms.resultant(path, body.facets("up end"))
+place = forms.at(u, (1.0, 1.0, 1.0))
+if MPI.COMM_WORLD.rank == 0:
+    print(json.dumps([*map(float, [*force, *place])]))
+"""
+)
+
+
+@pytest.mark.slow
+def test_ranks_agree_on_surfaces(run, tmp_path):
+    """1, 2 and 3 ranks: forces and places to 1e-8."""
+    start = scripts(run, tmp_path)
+    one = start(RANKS, 1)
+    assert abs(one[2]) > 0.1
+    for ranks in (2, 3):
+        assert start(RANKS, ranks) == pytest.approx(one, rel=1e-8, abs=1e-9)
+
+
+def test_a_thrown_block_lands_on_a_soft_one():
+    """In motion, without friction: momentum goes over, every joule is there, nothing crosses."""
+    body = stack(MPI.COMM_SELF, 2, 3, 0.1)
+    t, u = forms.load_factor(body), forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 50.0, 100.0) * ufl.dx
+    term = forms.touching(u, body.ds("low face", "up face"), stiffness=10.0, dhat=0.05)
+    X = ufl.SpatialCoordinate(body.mesh)
+    velocity = ufl.as_vector([0, ufl.conditional(ufl.gt(X[1], 1.05), -1.0, 0.0)])
+    path = forms.transient(
+        [psi, term], u, (), t, to=0.4, rho=1.0, velocity=velocity, progress=False
+    )
+    momentum = path.record("momentum")
+    assert np.abs(momentum - momentum[0]).max() < 1e-8 and momentum[0][1] == pytest.approx(-1)
+    assert path.ledger.missed < 5e-3 * path.ledger.exchanged and term.certified()
+    # One block hits its like: the struck one moves on with most of the speed.
+    V = path.velocity.x.array.reshape(-1, 2)[:, 1]
+    low = u.function_space.tabulate_dof_coordinates()[:, 1] < 1.05
+    assert V[low].mean() < -0.5 and V[~low].mean() > -0.5
+
+
+def test_bad_input_of_surfaces():
+    """Surfaces that cross at the start, dhat larger than the cells, no modulus, no boundary."""
+    body = stack(MPI.COMM_SELF, 2, 3, -0.05)
+    t, u = forms.load_factor(body), forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    faces = body.ds("low face", "up face", "side 0")
+    for options, words in (
+        ({"stiffness": 0.0}, "the stiffness of contact is a pressure above 0"),
+        (
+            {"stiffness": 1.0, "dhat": 0.9},
+            "dhat of contact is a length above 0 and up to the small",
+        ),
+        ({"stiffness": 1.0, "parts": 0}, "parts of contact is a whole number of at least 1, got 0"),
+        ({"stiffness": 1.0, "thickness": -1}, "a thickness is not negative, got -1"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            forms.touching(u, faces, **options)
+    with pytest.raises(ValueError, match="contact needs a measure"):
+        forms.touching(u, body.facets("side 0"), stiffness=1.0)
+    term = forms.touching(u, faces, stiffness=1.0)
+    held = [forms.clamp(u, body.facets("low end")), forms.clamp(u, body.facets("up end"))]
+    with pytest.raises(ValueError, match=r"surfaces cross or touch at the start, at \("):
+        forms.solve([psi, term], u, held)
+    assert t is not None
