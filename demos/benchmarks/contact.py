@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Contact with obstacles: Hertz's errors over dhat, cells and degree; what a barrier costs.
 
-A parabola of radius R = 1, linear elastic, nu = 0.3, pressed on a plane until a / R = 0.05, in plane
+A parabola of radius R = 1, linear elastic, nu = 0.3, pressed on a plane to a / R = 0.05, in plane
 strain (a cylinder) and as a body of revolution (a sphere); 20 a wide and high, cells of a / 10 to
 a / 40 at the contact, larger away from it. Half-width by the second moment of the projected
 pressure, peak of that pressure, each against Hertz at the measured force. Then the time of a step
