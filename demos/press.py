@@ -88,8 +88,7 @@ assert abs(support[1] - force[-1]) < 1e-6 * force[-1]
 assert all(step.clearance.distance > 0 for step in path.steps)
 
 # %%
-pressure = forms.contact.pressure(path)
-forms.picture(path, folder / "press.png", pressure, "contact pressure\n[N/mm²]")
+forms.picture(path, folder / "press.png", F[1, 1], "stretch\nalong z")
 if comm.rank == 0:
     figure, axes = plt.subplots(figsize=(7, 4.5))
     axes.plot(depths, force, "o-", ms=3, label="with a barrier")

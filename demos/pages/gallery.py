@@ -126,7 +126,7 @@ DEMOS = (
         number="force at a depth of a tenth of the radius 17.70 N (2 %)",
         source="our own refinement; Hertz, and Dimitriadis et al., *Biophys. J.* 82 (2002) "
         "2798-2810, beside it",
-        picture="A ball's dent in the meridian plane of a slab, colored by the contact pressure",
+        picture="A ball's dent in a slab's meridian plane, colored by the stretch along the axis",
         more="`force.png`, the force over the depth",
     ),
     Demo(
