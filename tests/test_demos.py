@@ -131,7 +131,7 @@ def test_press(demo):
     numbers, _ = demo("press", "force.png")
     assert numbers["force"] == pytest.approx(17.70, rel=0.02)
     assert numbers["force"] == pytest.approx(numbers["slab"], rel=0.08)
-    force = [step["ball"][1] for step in numbers["steps"]]
+    force = [step["records"]["ball"][1] for step in numbers["steps"]]
     assert np.all(np.diff(force) > 0)
 
 
@@ -139,7 +139,7 @@ def test_wrap(demo):
     """The force on the cylinder is that of the closed form."""
     numbers, _ = demo("wrap", "force.png")
     assert numbers["ratio"] == pytest.approx(1, abs=0.01)
-    assert numbers["steps"][-1]["roll"][2] < 0
+    assert numbers["steps"][-1]["records"]["roll"][2] < 0
 
 
 def test_airbag(demo):
