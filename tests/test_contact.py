@@ -105,6 +105,23 @@ def test_a_pressed_block_is_the_uniform_state(kind, degree, cells):
     assert abs(path.ledger[-1].unaccounted or 0) < 2e-2 * path.problem.energy()
 
 
+def test_a_gap_that_falls_is_a_tool_that_comes():
+    """From 0.3 beyond the body, gap = 0.3 (1 - t) closes: the path of the moving plane, 1e-10."""
+    ends = []
+    for falls in (False, True):
+        body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2, cells="quadrilateral")
+        u, t = forms.displacement(body), forms.load_factor(body)
+        psi = forms.energies.neo_hookean(forms.deformation_gradient(u), MU, LMBDA)
+        plane = obstacles.plane((0, 0.75 if falls else 1.05 - 0.3 * t), (0, -1))
+        gap = 0.3 * (1 - t) if falls else 0.0
+        wall = forms.obstacle(u, plane, body.ds("top"), dhat=DHAT, stiffness=K, gap=gap)
+        held = [forms.clamp(u, body.facets("bottom"))]
+        path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False, rtol=1e-12, ctol=1e-10)
+        ends.append(u.x.array.copy())
+        assert path.completed and contact.force(path)[1] > 0.1
+    assert ends[1] == pytest.approx(ends[0], abs=1e-10)
+
+
 def hertz(kind, degree, per, dhat):
     """Half-width over a / R, peak of the pressure over p0, of a parabola of radius 1 on a plane.
 

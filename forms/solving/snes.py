@@ -243,9 +243,9 @@ class Runs:
         Returns:
             Whether the step was changed.
         """
-        tangent, changed = self.tangent, self._bounded(step)
+        tangent, changed = self.tangent, False
         if tangent.damping is None or self.merit is not Merit.ENERGY:
-            return changed
+            return self._bounded(step)
         force = self.snes.getFunction()[0]
         while not force.dot(step) > 0 and tangent.damping.stiffen():
             tangent.assemble()
@@ -253,7 +253,7 @@ class Runs:
             tangent.solve(force, step)
             changed = True
         tangent.forget_failure()
-        return changed
+        return self._bounded(step) or changed
 
     def _bounded(self, step: PETSc.Vec) -> bool:
         """Shorten a step that a term forbids; whether it was changed. Collective."""
