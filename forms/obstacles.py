@@ -126,8 +126,9 @@ def obstacle(
         dhat: Distance from which on the barrier acts [m], not above the smallest facet; by default
             a tenth of that. Error and effort both grow as it gets smaller or larger.
         stiffness: Pressure scale k [Pa] of the barrier, a number or UFL; by default a fifth of
-            the body's own, by the tangent's diagonal at rest on this boundary. A pressure of k/10
-            leaves a gap of 0.83 dhat, k 0.53 dhat, 10 k 0.12 dhat.
+            the body's own, by the tangent's diagonal at rest on this boundary, found when a
+            :class:`forms.Problem` is made of it. A pressure of k/10 leaves a gap of 0.83 dhat, k
+            0.53 dhat, 10 k 0.12 dhat.
         gap: Moves the surface back, away from the body, by so much [m], a number or UFL of
             Constants: dhat lets a body touch it at the start; one that falls with the load factor
             closes it. Negative, half its thickness for a sheet.

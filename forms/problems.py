@@ -212,9 +212,8 @@ class Problem:
             self._uncoupled = self.forms.create_matrix()
         for term in self.terms:
             term.tangent(self._uncoupled, projected)
-        couplings = [
-            term.coupling(A, projected) for term in self.terms if getattr(term, "couples", False)
-        ]
+        coupled: list[Any] = [term for term in self.terms if getattr(term, "couples", False)]
+        couplings = [term.coupling(A, projected) for term in coupled]
         kept = A.getNearNullSpace()
         _petsc.replace_by_sum(A, [self._uncoupled, *couplings])
         for coupling in couplings:
@@ -256,12 +255,14 @@ class Problem:
 
     def crossed(self) -> str:
         """What the way from the last accepted state to u crosses, in words. Collective."""
-        words = (term.crossed() for term in self.terms if hasattr(term, "crossed"))
+        able: list[Any] = [term for term in self.terms if hasattr(term, "crossed")]
+        words = (term.crossed() for term in able)
         return self.forms.barriers.crossed() or next(filter(None, words), "")
 
     def touches(self) -> bool:
         """Whether obstacles act at u. Collective."""
-        acting = [term.near() for term in self.terms if hasattr(term, "near")]
+        able: list[Any] = [term for term in self.terms if hasattr(term, "near")]
+        acting = [term.near() for term in able]
         return self.forms.barriers.near() or any(acting)
 
     def begin(self) -> None:

@@ -135,6 +135,21 @@ def test_benchmark_of_locking_runs(run, tmp_path):
     assert (tmp_path / "results" / "locking.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
+def test_benchmark_of_contact_runs(run, tmp_path):
+    """Toy sizes: a smaller dhat is nearer to Hertz; multigrid and MUMPS meet with and without."""
+    done = run("-m", "demos.benchmarks.contact", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    for kind in ("cylinder", "sphere"):
+        for element in ("Q1", "Q2"):
+            found = [r for r in rows if (r.get("body"), r.get("element")) == (kind, element)]
+            far, near = (abs(r["width"]) for r in sorted(found, key=lambda r: -r["dhat/h"]))
+            assert near < far and near < 0.03
+    assert sum(r.get("what") == "presets" for r in rows) == 8
+    assert next(r for r in rows if r.get("what") == "overhead")["ratio"] > 0
+    assert (tmp_path / "results" / "contact.png").stat().st_size > 10_000
+
+
 def test_benchmark_of_points_runs(run, tmp_path):
     """A coarse map: equal stretches are right by variform only; the clamp is the documented one."""
     done = run("-m", "demos.benchmarks.atlas", "--small", cwd=tmp_path)

@@ -105,6 +105,23 @@ def test_a_pressed_block_is_the_uniform_state(kind, degree, cells):
     assert abs(path.ledger[-1].unaccounted or 0) < 2e-2 * path.problem.energy()
 
 
+def test_a_gap_that_falls_is_a_tool_that_comes():
+    """From 0.3 beyond the body, gap = 0.3 (1 - t) closes: the path of the moving plane, 1e-10."""
+    ends = []
+    for falls in (False, True):
+        body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2, cells="quadrilateral")
+        u, t = forms.displacement(body), forms.load_factor(body)
+        psi = forms.energies.neo_hookean(forms.deformation_gradient(u), MU, LMBDA)
+        plane = obstacles.plane((0, 0.75 if falls else 1.05 - 0.3 * t), (0, -1))
+        gap = 0.3 * (1 - t) if falls else 0.0
+        wall = forms.obstacle(u, plane, body.ds("top"), dhat=DHAT, stiffness=K, gap=gap)
+        held = [forms.clamp(u, body.facets("bottom"))]
+        path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False, rtol=1e-12, ctol=1e-10)
+        ends.append(u.x.array.copy())
+        assert path.completed and contact.force(path)[1] > 0.1
+    assert ends[1] == pytest.approx(ends[0], abs=1e-10)
+
+
 def hertz(kind, degree, per, dhat):
     """Half-width over a / R, peak of the pressure over p0, of a parabola of radius 1 on a plane.
 
@@ -177,7 +194,7 @@ def test_hertz_of_degree_two(kind):
 
 def arch(floor):
     """A flat arch, clamped at both ends, under its growing weight."""
-    body = meshes.block(MPI.COMM_SELF, (2.0, 0.02), n=(32, 1), cells="quadrilateral")
+    body = meshes.block(MPI.COMM_SELF, (2.0, 0.02), n=(24, 1), cells="quadrilateral")
     x = body.mesh.geometry.x
     x[:, 1] += 0.1 * (1 - (x[:, 0] - 1) ** 2)
     u, q = forms.displacement(body, degree=2), fem.Constant(body.mesh, 0.0)
@@ -193,9 +210,7 @@ def test_an_arch_snaps_onto_a_floor():
     """Arc length: the path without a floor until it touches, then stable, the floor carries it."""
     crown = {"crown": lambda p: forms.at(p.u, (1.0, 0.1))[1]}
     u, potential, held, q = arch(None)
-    free = forms.arc_length(
-        potential, u, held, q, step=0.05, steps=100, to=0.6, record=crown, progress=False
-    )
+    free = forms.arc_length(potential, u, held, q, step=0.05, steps=5, record=crown, progress=False)
     u, potential, held, q = arch(-0.03)
     path = forms.arc_length(
         potential,
@@ -204,7 +219,7 @@ def test_an_arch_snaps_onto_a_floor():
         q,
         step=0.05,
         steps=150,
-        to=1.0,
+        to=0.6,
         record={**crown, "floor": contact.recorder("floor")},
         progress=False,
     )
@@ -213,7 +228,7 @@ def test_an_arch_snaps_onto_a_floor():
     first = int(np.argmax(force < 0))
     assert loads[:5] == pytest.approx([step.load for step in free.steps[:5]], rel=1e-8)
     peak = max(event.load for event in path.events if event.kind == "limit point")
-    assert peak == pytest.approx(0.4269, abs=1e-3) and min(loads[first - 3 : first]) < 0.25 * peak
+    assert peak == pytest.approx(0.43, abs=2e-3) and min(loads[first - 3 : first]) < 0.25 * peak
     assert max(step.convergence.negative for step in path.steps[:first]) == 2
     assert path.steps[-1].convergence.negative == 0 and path.completed
     # At its crown it is on the floor, 0.1 + 0.03 below and up to dhat above
@@ -266,10 +281,10 @@ def test_a_balloon_in_a_box():
     assert [step.convergence.negative for step in path.steps] == [0] * 4
 
 
-def ball_scene(comm, degree=1, cells="tetrahedron", lift=0.0):
+def ball_scene(comm, n=4, lift=0.0):
     """A ball pressed into a block, or a block lifted towards the ball."""
-    body = meshes.block(comm, (1.0, 1.0, 1.0), n=4, cells=cells)
-    u, t = forms.displacement(body, degree), forms.load_factor(body)
+    body = meshes.block(comm, (1.0, 1.0, 1.0), n=n)
+    u, t = forms.displacement(body), forms.load_factor(body)
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), MU, LMBDA)
     ball = obstacles.sphere((0.5, 0.5, 1.55 - 0.3 * t), 0.5)
     wall = forms.obstacle(u, ball, body.ds("top"), name="ball")
@@ -331,8 +346,8 @@ import numpy as np
 from variform import forms
 from test_contact import ball_scene
 
-body, potential, u, held, t = ball_scene(MPI.COMM_WORLD)
-path = forms.follow(potential, u, held, t, rtol=1e-11, ctol=1e-10, progress=False)
+body, potential, u, held, t = ball_scene(MPI.COMM_WORLD, n=3)
+path = forms.follow(potential, u, held, t, 0.6, rtol=1e-11, ctol=1e-10, progress=False)
 p, g = forms.contact.pressure(path), forms.contact.gap(path)
 closest, support = forms.contact.clearance(path), forms.resultant(path, body.facets("bottom"))[0]
 found = [

@@ -126,6 +126,22 @@ def test_snap(demo):
     assert counts[0] == counts[-1] == 0 and max(counts) == 1
 
 
+def test_press(demo):
+    """The force is that of a finer mesh, near the formula's, and grows with every step."""
+    numbers, _ = demo("press", "force.png")
+    assert numbers["force"] == pytest.approx(17.70, rel=0.02)
+    assert numbers["force"] == pytest.approx(numbers["slab"], rel=0.08)
+    force = [step["records"]["ball"][1] for step in numbers["steps"]]
+    assert np.all(np.diff(force) > 0)
+
+
+def test_wrap(demo):
+    """The force on the cylinder is that of the closed form."""
+    numbers, _ = demo("wrap", "force.png")
+    assert numbers["ratio"] == pytest.approx(1, abs=0.01)
+    assert numbers["steps"][-1]["records"]["roll"][2] < 0
+
+
 def test_airbag(demo):
     """The cushion's center rises by 217 mm, 3 %, on every mesh."""
     numbers, _ = demo("airbag", "study.png")

@@ -23,6 +23,7 @@ NAMES = (
     "kills",
     "validity",
     "motion",
+    "contact",
 )
 
 

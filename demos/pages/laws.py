@@ -46,6 +46,14 @@ LAWS = {
     "problems included",
     "unknowns": "fields by name and role: a heated bar, pressure and volume ratio, damage; own "
     "mixed elements; 1, 2, 3 ranks",
+    "intervals": "bounds of UFL scalars over boxes contain every value; of points they have no "
+    "width",
+    "obstacles": "distances in closed form, the barrier and its derivatives, its rule; what is "
+    "refused",
+    "barriers": "no step crosses an obstacle at any length, by moving ones neither; starts beyond "
+    "one are refused",
+    "contact": "uniform states of one equation, Hertz, balance; an arch on a floor, a balloon in "
+    "a box; multigrid, restart, 1, 2, 3 ranks",
     "problems": "a second solve sets nothing up and knows of no earlier one; terms of one's own; "
     "no step passes a barrier",
     "entities": "measures given as lists count each entity once, and list what the mesh has",

@@ -20,6 +20,7 @@ from .settings import Settings
 from .tangents import Tangent
 
 CONVERGED, NOT_FINITE = 2, -4  # SNES_CONVERGED_FNORM_ABS, SNES_DIVERGED_FNORM_NAN
+NO_STEP = 4  # SNES_CONVERGED_SNORM_RELATIVE: PETSc's word for a search that led nowhere
 Callbacks = tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any], Callable[..., Any]]
 
 
@@ -202,6 +203,7 @@ class Runs:
             counts = snes.getIterationNumber(), snes.getLinearSolveIterations()
             # A step of zero length counts as converged for PETSc.
             code = code if tangent.spoiled else int(snes.getConvergedReason())
+            code = Failure.NO_DESCENT.value if code == NO_STEP else code
         except PETSc.Error as error:  # its vectors stay locked: all is made anew
             raised, counts = _petsc.said(error), (max(0, len(self._history) - 1), 0)
             self.x, self.b = self.b.duplicate(), self.b.duplicate()
@@ -241,9 +243,9 @@ class Runs:
         Returns:
             Whether the step was changed.
         """
-        tangent, changed = self.tangent, self._bounded(step)
+        tangent, changed = self.tangent, False
         if tangent.damping is None or self.merit is not Merit.ENERGY:
-            return changed
+            return self._bounded(step)
         force = self.snes.getFunction()[0]
         while not force.dot(step) > 0 and tangent.damping.stiffen():
             tangent.assemble()
@@ -251,7 +253,7 @@ class Runs:
             tangent.solve(force, step)
             changed = True
         tangent.forget_failure()
-        return changed
+        return self._bounded(step) or changed
 
     def _bounded(self, step: PETSc.Vec) -> bool:
         """Shorten a step that a term forbids; whether it was changed. Collective."""

@@ -69,7 +69,7 @@ class Continuation(Branch):
         self._accounts = Accounts(problem, q, span) if problem.has_energy else None
         self._reading: Balance | None = None
         self.bounds: Bounds | None = None
-        self._inverted = False
+        self._inverted = self._touching = False
         self._unheld: bool | None = None
         self._counted = self._spent = corrector.tangents
 
@@ -118,7 +118,7 @@ class Continuation(Branch):
         problem, newton = self.path.problem, self.newton
         values, q = problem.u.x.array.copy(), float(self.q.value)
         outcome = self.corrector.solve(self.level)
-        if outcome.converged or not self.corrector.met:
+        if outcome.converged or not (self.corrector.met or self._touching):
             return outcome
         problem.u.x.array[:], self.q.value = values, q
         if self.corrector.border is not None or not problem.minimization:
@@ -173,6 +173,7 @@ class Continuation(Branch):
 
     def take(self, state: State, outcome: Convergence, kind: str = ORDINARY) -> None:
         """Remember a state, and set the next step."""
+        self._touching = self.path.problem.touches()
         self._inverted = self.bounds is not None and not self.bounds.lower > 0
         still = kind == ORDINARY and state.place == self.place
         if still:  # a target where the path is already
@@ -305,6 +306,7 @@ class Continuation(Branch):
         self.newton.recall(numbers["newton"])
         self.restore()
         self.path.problem.rollback()
+        self._touching = self.path.problem.touches()
         self._recall_forces()
 
     def _recall_forces(self) -> None:

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""Contact with obstacles: Hertz's errors over dhat, cells and degree; what a barrier costs.
+
+A parabola of radius R = 1, linear elastic, nu = 0.3, pressed on a plane to a / R = 0.05, in plane
+strain (a cylinder) and as a body of revolution (a sphere); 20 a wide and high, cells of a / 10 to
+a / 40 at the contact, larger away from it. Half-width by the second moment of the projected
+pressure, peak of that pressure, each against Hertz at the measured force. Then the time of a step
+with an obstacle that nothing touches over one without, and what multigrid and MUMPS make of a
+ball pressed into a block. Run ``docker/enter python3 -m demos.benchmarks.contact`` (``--small``:
+toy sizes); one JSON line per row, ``results/contact.csv`` and ``results/contact.png`` and ``.svg``;
+``--write`` puts the tables into README.md. One process only.
+"""
+
+import sys
+import time
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from matplotlib.figure import Figure
+
+from variform import forms, meshes
+from variform.forms import contact, obstacles
+from variform.forms.solving.settings import Settings
+
+from .record import Table, insert, markdown, median_times, save
+
+A, R, E, NU = 0.05, 1.0, 1.0, 0.3
+SIZES = {1: (10, 20, 40), 2: (10, 20)}
+REACHES = (0.4, 0.2, 0.1, 0.05, 0.025)  # dhat over h
+STIFF = E / (1 - NU**2)
+
+
+def graded(h, fine, length, ratio=1.15):
+    """Coordinates of nodes: h apart up to a length, then farther and farther."""
+    x, d = list(np.arange(0, fine + h / 2, h)), h
+    even = len(x)
+    while x[-1] < length:
+        d *= ratio
+        x.append(x[-1] + d)
+    x = np.array(x)
+    x[even:] = fine + (x[even:] - fine) * (length - fine) / (x[-1] - fine)
+    return x
+
+
+def hertz(kind, degree, per, reach, stiffness=None):
+    """A row: errors of half-width and peak, steps, iterations, CPU time."""
+    h = A / per
+    x, y = graded(h, 2 * A, 20 * A), graded(h, A, 20 * A)
+    n = len(x) - 1, len(y) - 1
+    size = (float(n[0]), float(n[1]))
+    body = meshes.block(MPI.COMM_SELF, size, n=n, cells="quadrilateral", order=degree)
+    X = body.mesh.geometry.x
+    X[:, 0] = np.interp(X[:, 0], np.arange(len(x)), x)
+    depth = np.interp(X[:, 1], np.arange(len(y)), y)
+    X[:, 1] = depth + X[:, 0] ** 2 / (2 * R) * (1 - depth / y[-1])
+    u, t = forms.displacement(body, degree), forms.load_factor(body)
+    ball = kind == "sphere"
+    F = forms.axisymmetric(u) if ball else forms.deformation_gradient(u)
+    e = ufl.sym(F) - ufl.Identity(3)
+    psi = E / (2 * (1 + NU)) * (ufl.inner(e, e) + NU / (1 - 2 * NU) * ufl.tr(e) ** 2)
+    psi = psi * forms.circumference(u) if ball else psi
+    floor, dhat = obstacles.plane((0, 0), (0, 1)), reach * h
+    wall = forms.obstacle(u, floor, body.ds("bottom"), dhat=dhat, gap=dhat, stiffness=stiffness)
+    down = forms.translate(u, body.facets("top"), (None, -(0.0027 if ball else 0.0045) * t))
+    held = [forms.roller(u, body.facets("left"), 0), down]
+    start = time.process_time()
+    path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False)
+    seconds = time.process_time() - start
+    p, P = contact.pressure(path), -contact.force(path)[1]
+    r, ds = ufl.SpatialCoordinate(body.mesh)[0], body.ds("bottom", degree=6)
+    weight = r if ball else 1.0
+    second = forms.integral(p * weight * r**2 * ds) / forms.integral(p * weight * ds)
+    if ball:
+        a, moment = (3 * P * R / (4 * STIFF)) ** (1 / 3), 2 / 5
+        peak = 3 * P / (2 * np.pi * a**2)
+    else:
+        a, moment = np.sqrt(8 * P * R / (np.pi * STIFF)), 1 / 4
+        peak = 4 * P / (np.pi * a)
+    return {
+        "body": kind,
+        "element": f"Q{degree}",
+        "a/h": per,
+        "dhat/h": reach,
+        "dofs": path.problem.size,
+        "width": float(f"{np.sqrt(second / moment) / a - 1:.3g}"),
+        "peak": float(f"{p.x.array.max() / peak - 1:.3g}"),
+        "steps": len(path.steps),
+        "tangents": path.tangents,
+        "seconds": round(seconds, 2),
+    }
+
+
+def block(n, degree=1, ball=None, load=0.05):
+    """A block pulled at its top beside an obstacle, or lifted to a ball; a problem of it."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=n, cells="tetrahedron")
+    u = forms.displacement(body, degree)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    potential = psi * ufl.dx + forms.dead_traction(u, (0, 0, load), body.ds("top"))
+    if ball is not None:
+        tool = obstacles.sphere((0.5, 0.5, 1.5 + ball), 0.5)
+        potential += forms.obstacle(u, tool, body.ds("top"), name="ball")
+    return forms.Problem(potential, u, [forms.clamp(u, body.facets("bottom"))])
+
+
+def overhead(n, repeats=5):
+    """Rows: CPU time of a solve without an obstacle, and with one that nothing touches."""
+    problems = {"without": block(n), "with": block(n, ball=0.5)}
+
+    def solves(problem):
+        problem.u.x.array[:] = 0
+        forms.solve(problem)
+
+    for problem in problems.values():
+        solves(problem)
+    times = median_times({k: lambda p=p: solves(p) for k, p in problems.items()}, repeats)
+    ratio = times["with"] / times["without"]
+    size = problems["with"].size
+    return {"what": "overhead", "dofs": size, **times, "ratio": float(f"{ratio:.4g}")}
+
+
+def presets(n, degree):
+    """Rows: iterations and time of a ball pressed on, and of the same load without it."""
+    settings = {
+        "multigrid": Settings(direct_up_to=0, factorized_up_to=0),
+        "MUMPS": Settings(direct_up_to=10**9),
+    }
+    for solver, chosen in settings.items():
+        for ball in (None, 0.02):
+            problem = block(n, degree, ball, load=0.6)
+            forms.solve(problem, settings=chosen)  # compiles, too
+            problem.u.x.array[:] = 0
+            start = time.process_time()
+            path = forms.solve(problem, settings=chosen)
+            seconds, outcome = time.process_time() - start, path.steps[0].convergence
+            yield {
+                "what": "presets",
+                "element": f"P{degree}",
+                "dofs": problem.size,
+                "solver": solver,
+                "contact": ball is not None,
+                "newton": outcome.iterations,
+                "linear": outcome.linear_iterations,
+                "tried": ", ".join(outcome.tried),
+                "seconds": round(seconds, 2),
+            }
+            problem.destroy()
+
+
+def picture(rows):
+    """Errors of the half-width over dhat / h, a panel for each body, and over the CPU time."""
+    figure = Figure((11, 4), 150, layout="constrained")
+    panels = figure.subplots(1, 3)
+    styles = {1: "o-", 2: "s--"}
+    for axes, kind in zip(panels, ("cylinder", "sphere"), strict=False):
+        for degree, sizes in SIZES.items():
+            for n, per in enumerate(sizes):
+                chosen = [
+                    r
+                    for r in rows
+                    if (r["body"], r["element"], r["a/h"]) == (kind, f"Q{degree}", per)
+                ]
+                if chosen:
+                    x = [r["dhat/h"] for r in chosen]
+                    label = f"Q{degree}, a/h = {per}"
+                    axes.loglog(
+                        x,
+                        [abs(r["width"]) for r in chosen],
+                        styles[degree],
+                        color=f"C{n}",
+                        label=label,
+                    )
+        axes.axhline(0.01, color="0.7", lw=1)
+        axes.set(title=f"half-width, {kind}", xlabel="dhat / h", ylabel="relative error")
+    for n, kind in enumerate(("cylinder", "sphere")):
+        chosen = [r for r in rows if r["body"] == kind]
+        x, y = [r["seconds"] for r in chosen], [abs(r["peak"]) for r in chosen]
+        panels[2].loglog(x, y, "ox"[n], color=f"C{n}", label=kind)
+    panels[2].set(title="peak of the pressure", xlabel="CPU time [s]")
+    for axes in panels:
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=7)
+    save(figure, "contact")
+
+
+def tables(rows):
+    """Errors in percent by dhat / h; what a barrier costs."""
+    found = [r for r in rows if "width" in r]
+    kinds = list(dict.fromkeys((r["body"], r["element"], r["a/h"], r["dofs"]) for r in found))
+    reaches = list(dict.fromkeys(r["dhat/h"] for r in found))
+    lines = []
+    for kind in kinds:
+        mine = [r for r in found if (r["body"], r["element"], r["a/h"], r["dofs"]) == kind]
+        cells = [
+            f"{100 * r['width']:+.2f}, {100 * r['peak']:+.2f}, {r['seconds']:.1f} s" for r in mine
+        ]
+        lines.append([*kind[:3], f"{kind[3]:,}", *cells])
+    head = ["body", "element", "a/h", "dofs", *(f"dhat/h = {reach}" for reach in reaches)]
+    table = markdown(head, lines)
+    costs = [r for r in rows if r.get("what") == "presets"]
+    lines = [
+        [
+            f"{r['element']}, {r['dofs']:,}",
+            r["solver"],
+            "a ball pressed on" if r["contact"] else "none",
+            r["newton"],
+            r["linear"],
+            f"{r['seconds']:.1f} s",
+        ]
+        for r in costs
+    ]
+    head = ["element, dofs", "solver", "contact", "Newton", "linear", "CPU time"]
+    return [*table, "", *markdown(head, lines)]
+
+
+def main(small=False, write=False):
+    """Measure, print and write the tables and the picture."""
+    measurements = Table("contact")
+    for kind in ("cylinder", "sphere"):
+        for degree, sizes in SIZES.items():
+            for per in (5,) if small else sizes:
+                for reach in (0.4, 0.1) if small else REACHES:
+                    measurements.add(**hertz(kind, degree, per, reach))
+    picture([r for r in measurements.rows if "width" in r])
+    measurements.add(**overhead(4 if small else 26))
+    for degree, n in ((1, 4), (2, 3)) if small else ((1, 26), (2, 13)):
+        for row in presets(n, degree):
+            measurements.add(**row)
+    measurements.write()
+    if write:
+        insert("contact", tables(measurements.rows))
+    return measurements.rows
+
+
+if __name__ == "__main__":
+    main(small="--small" in sys.argv, write="--write" in sys.argv)
