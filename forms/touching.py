@@ -87,7 +87,7 @@ class Touching:
         self._pairs.collision_set_type = ipc.NormalCollisions.IMPROVED_MAX_APPROX
         # Additive CCD: tight inclusion bisects parallel faces for minutes.
         self._ccd = ipc.AdditiveCCD()
-        self._x = np.empty((0, 0))
+        self._x: NDArray = np.empty((0, 0))
         self._last = surface.places()
 
     def begin(self) -> None:
