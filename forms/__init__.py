@@ -29,12 +29,21 @@ from .loads import (
     pressure_potential,
     spring,
 )
+from .measured import Reaction
 from .membranes import enclosed_volume, membrane_gradient
 from .paths import NotConverged, Path
 from .problems import Problem
 from .programs import table
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
-from .solving import arc_length, control, follow, lowest_modes, negative_eigenvalues, solve
+from .solving import (
+    arc_length,
+    control,
+    follow,
+    gradient,
+    lowest_modes,
+    negative_eigenvalues,
+    solve,
+)
 from .supports import (
     clamp,
     pin,
@@ -100,6 +109,8 @@ __all__ = [  # in the order a user meets them
     "control",
     "negative_eigenvalues",
     "lowest_modes",
+    "gradient",
+    "Reaction",
     "Path",
     "NotConverged",
     "resultant",

@@ -9,6 +9,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from .ledger import START, Balance, Ledger, rows
@@ -156,6 +157,7 @@ class Path:
         events: Bifurcations, limit points and jumps, in order.
         balances: Energy and powers of the states, the first one included.
         floor: Energy [J] that tolerances leave unknown.
+        held: Scalar that was found and functional that it holds at a value, after ``control``.
     """
 
     u: fem.Function
@@ -171,6 +173,7 @@ class Path:
     events: list[Event] = field(default_factory=list)
     balances: list[Balance] = field(default_factory=list)
     floor: float = 0.0
+    held: tuple[fem.Constant, ufl.Form] | None = None
 
     @property
     def ledger(self) -> Ledger:

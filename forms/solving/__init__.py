@@ -5,6 +5,7 @@ from ..paths import Convergence, NotConverged, Path, Step
 from .arclength import arc_length
 from .following import follow, solve
 from .newton import Newton
+from .sensitivity import gradient
 from .stability import lowest_modes, negative_eigenvalues
 from .targets import control
 
@@ -17,6 +18,7 @@ __all__ = [
     "arc_length",
     "control",
     "follow",
+    "gradient",
     "lowest_modes",
     "negative_eigenvalues",
     "solve",
