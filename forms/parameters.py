@@ -65,11 +65,6 @@ def name_of(m: Any) -> str:
     return f"the Constant {m.value}{shape}"
 
 
-def is_field(m: Any) -> bool:
-    """Whether a parameter's gradient is a Function: that of a Function, or of a support."""
-    return not isinstance(m, fem.Constant)
-
-
 class Slope:
     """Derivative of a form by a Constant or Function, compiled: of a functional, or of a residual.
 
@@ -107,8 +102,8 @@ class Slope:
                 self._along.value[k] = 1
             yield k
 
-    def add_numbers(self, to: fem.Function) -> None:
-        """Add the derivative of a functional by each value of a Function. Collective."""
+    def add_numbers(self, to: fem.Function, factor: float = 1.0) -> None:
+        """Add the derivative of a functional by each value of a Function, weighed. Collective."""
         if self._form is None:
             return
         update_dependents(self._whole)
@@ -117,7 +112,7 @@ class Slope:
         fem.assemble_vector(b.array, self._form)
         b.scatter_reverse(la.InsertMode.add)
         b.scatter_forward()
-        to.x.array[:] += b.array
+        to.x.array[:] += factor * b.array
 
     def add_vector(self, b: Any) -> None:
         """Add the derivative of a linear form, along the present component. Collective."""

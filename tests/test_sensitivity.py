@@ -11,6 +11,9 @@ from dolfinx import fem
 from test_problems import Well
 
 from variform import forms, meshes
+from variform.forms.measured import measured
+from variform.forms.solving.linearized import Linearized
+from variform.forms.solving.rates import Rates
 from variform.forms.solving.settings import Settings
 
 STEPS = (0.004, 0.002, 0.001)
@@ -233,3 +236,17 @@ def test_bad_input_gets_one_sentence(change, message):
     }
     with pytest.raises(ValueError, match=message):
         calls[change]()
+
+
+@pytest.mark.parametrize("name", scenes.SCENES)
+def test_forward_and_adjoint_agree(name):
+    """Rates of the solution by Constants give the derivatives that adjoints give."""
+    scene = scenes.SCENES[name](MPI.COMM_SELF)
+    constants = [m for m, _ in scene.parameters.values() if isinstance(m, fem.Constant)]
+    path = scene.solve()
+    found = [measured(J, path.problem, path.held, "this") for J in scene.measured.values()]
+    with Linearized(path.problem) as linear:
+        _, columns = Rates(path.problem, found, constants, path.held)(linear)
+    for J, column in zip(scene.measured.values(), columns, strict=True):
+        gradients = [np.ravel(g) for g in forms.gradient(path, J, constants)]
+        assert column[0] == pytest.approx(np.concatenate(gradients), rel=1e-8, abs=1e-10)

@@ -12,6 +12,7 @@ functional G(u, q) at a value (:func:`forms.control`), the bordered system takes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from petsc4py import PETSc
@@ -24,17 +25,11 @@ from numpy.typing import NDArray
 
 from .. import insertion
 from ..compilation import compiled
-from ..measured import Functional, Reaction
-from ..parameters import (
-    Slope,
-    SupportSlopes,
-    check_parameters,
-    held_by,
-    is_field,
-    name_of,
-)
+from ..measured import Displacements, Functional, Reaction, Scalar, measured
+from ..parameters import Slope, SupportSlopes, check_parameters, held_by, name_of
 from ..paths import Path
 from ..problems import Problem
+from ..supports import Support
 from .linearized import Linearized
 
 Array = NDArray[np.float64]
@@ -94,149 +89,157 @@ def sensitivity(path: Any, J: Any, parameters: Any, what: str) -> Sensitivity:
     listed = check_parameters(parameters, problem, what)
     given = (J, *(border or ()), *listed)
     known = vars(problem).setdefault("_sensitivities", [])
+    if isinstance(J, Displacements):
+        raise ValueError(f"{what} differentiates one number, got displacements: integrate them.")
     for made in known:
         if len(made.given) == len(given) and all(
             a is b for a, b in zip(made.given, given, strict=True)
         ):
             return made
-    made = Sensitivity(problem, J, listed, border, what)
+    made = Sensitivity(problem, [measured(J, problem, border, what)], listed, border)
+    for m, known_of in zip(listed, made.slopes, strict=True):
+        if known_of.empty:
+            raise ValueError(
+                f"{what} by {name_of(m)}: neither the potential, nor the supports, nor what is "
+                "differentiated contain it; was it turned into a number on the way, as by float() "
+                "or .value?"
+            )
     made.given = given
     known.append(made)
     del known[:-REMEMBERED]
     return made
 
 
+class Slopes:
+    """Partial derivatives by one parameter: of residual, equation, what is measured, supports.
+
+    Args:
+        sensitivity: Whose forms they are of.
+        m: Parameter.
+
+    Attributes:
+        R, G: Of R[a] and of the equation that a scalar holds; None for a support.
+        J: Of each functional that is measured, by its place.
+        supports: Of prescribed values.
+    """
+
+    def __init__(self, sensitivity: Sensitivity, m: Any) -> None:
+        self.R = self.G = self.supports = None
+        self.J: dict[int, Slope] = {}
+        self._is_support = isinstance(m, Support)
+        if self._is_support:
+            return
+        self.R = Slope(sensitivity.R, m)
+        functionals = [j if isinstance(j, Functional) else None for j in sensitivity.measured]
+        self.J = {n: Slope(j.form, m) for n, j in enumerate(functionals) if j is not None}
+        if sensitivity.border is not None:
+            self.G = Slope(sensitivity.border.form, m)
+        self.supports = SupportSlopes(sensitivity.problem, m)
+
+    @property
+    def moves_supports(self) -> bool:
+        """Whether prescribed values have a part in the derivative."""
+        return self._is_support or not (self.supports is None or self.supports.empty)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing depends on the parameter."""
+        listed = [self.R, self.G, *self.J.values()]
+        return not self.moves_supports and all(s is None or s.empty for s in listed)
+
+    def weighted(self, c: list[Array], nu: float) -> list[tuple[float, Slope]]:
+        """Summands of the derivative at fixed prescribed values, and their factors."""
+        found = [(1.0, self.R), (-nu, self.G), *((c[n][0], s) for n, s in self.J.items())]
+        return [(factor, s) for factor, s in found if s is not None and not s.empty]
+
+
 class Sensitivity:
-    """Derivatives of one J by parameters, compiled; evaluated at the problem's present state.
+    """Derivatives of c . (what is measured) by parameters, compiled; at the present state.
 
     Args:
         problem: What is solved.
-        J: Functional, Reaction, or the q of ``border``.
+        measured: Objects of :mod:`forms.measured`.
         parameters: Checked parameters.
         border: Scalar q and functional that it holds, if any.
-        what: Who asks, for messages.
+
+    Attributes:
+        R: Residual at the function of adjoints.
+        slopes: Partial derivatives by each parameter.
     """
 
     def __init__(
-        self, problem: Problem, J: Any, parameters: list[Any], border: Any, what: str
+        self, problem: Problem, measured: list[Any], parameters: list[Any], border: Any
     ) -> None:
-        self.problem, self.parameters, self.given = problem, parameters, ()
-        for term in problem.terms:
-            if term.history():
-                raise ValueError(
-                    f"{what} needs a state that only the present loads decide, got a term that "
-                    f"keeps a history, {type(term).__name__}: paths in time are not differentiated."
-                )
-        self._q, self._reaction, self._J = None, None, None
-        if isinstance(J, Reaction):
-            self._reaction = J
-        elif isinstance(J, ufl.Form):
-            self._J = Functional(J, problem)
-        elif not (border is not None and J is border[0]):
-            raise ValueError(
-                f"{what} differentiates a functional (a UFL form), a forms.Reaction, or the scalar "
-                f"that control has found, got {type(J).__name__}."
-            )
-        self._is_q = self._J is None and self._reaction is None
+        check_memory(problem)
+        self.problem, self.parameters, self.measured = problem, parameters, measured
+        self.given: tuple[Any, ...] = ()
         self._a = fem.Function(problem.u.function_space, name="adjoint")
-        R = ufl.action(problem.forms.residual_ufl, self._a)
+        self.R = ufl.action(problem.forms.residual_ufl, self._a)
         K = problem.forms.tangent_ufl
-        K = K if problem.symmetric else ufl.adjoint(K)
-        self._Ka: Any = ufl.action(K, self._a)
-        self._border = None if border is None else _Held(problem, border, R, self._J)
-        self._slopes = [self._slopes_of(m, R) for m in parameters]
-        for m, (slopes, supports) in zip(parameters, self._slopes, strict=True):
-            if self._border is not None and m is self._border.q:
-                raise ValueError(
-                    f"{what} by the scalar that control has found: it is no parameter."
-                )
-            if supports is not None and supports.empty and all(s.empty for s in slopes.values()):
-                raise ValueError(
-                    f"{what} by {name_of(m)}: neither the potential, nor the supports, nor what "
-                    "is differentiated contain it; was it turned into a number on the way, as by "
-                    "float() or .value?"
-                )
+        self._Ka: Any = ufl.action(K if problem.symmetric else ufl.adjoint(K), self._a)
+        self.border = None if border is None else _Held(problem, border, self.R, measured)
+        if self.border is not None and any(m is self.border.q for m in parameters):
+            raise ValueError("the scalar that control has found is no parameter: leave it out.")
+        self.slopes = [Slopes(self, m) for m in parameters]
         self._b = problem.create_vector()
 
-    def _slopes_of(self, m: Any, R: ufl.Form) -> tuple[dict[str, Slope], SupportSlopes | None]:
-        if not isinstance(m, fem.Constant | fem.Function):
-            return {}, None
-        slopes = {"R": Slope(R, m)}
-        if self._J is not None:
-            slopes["J"] = Slope(self._J.form, m)
-        if self._border is not None:
-            slopes["G"] = Slope(self._border.form, m)
-        return slopes, SupportSlopes(self.problem, m)
-
-    def value(self) -> float:
-        """J at the present state. Collective."""
-        if self._reaction is not None:
-            return self._reaction(self.problem)
-        if self._J is not None:
-            return self._J(self.problem)
-        assert self._border is not None
-        return float(self._border.q.value)
-
     def gradient(self, rtol: float | None = None) -> list[Any]:
-        """Derivative by each parameter at the present state. Collective."""
+        """Derivative of one number by each parameter at the present state. Collective."""
         with Linearized(self.problem, rtol) as linear:
             linear.check_equilibrium("gradient")
-            return self.adjoint(linear)
+            return self.adjoint(linear, [np.ones(1)])
 
-    def adjoint(self, linear: Linearized) -> list[Any]:
-        """Derivative by each parameter, by one solve (two in a bordered system). Collective."""
+    def adjoint(self, linear: Linearized, c: list[Array]) -> list[Any]:
+        """Derivative of sum_n c_n . values_n, by one solve (two in a bordered system). Collective.
+
+        Args:
+            linear: The tangent at the present state.
+            c: Factors of the values of each that is measured.
+        """
         problem, b = self.problem, self._b
         problem.prepare()
-        explicit = self._explicit()
-        w = self._weighted()
-        _fill(b, explicit + self._transposed() if self._reaction else explicit)
+        explicit = sum(j.by_state(problem, f) for j, f in zip(self.measured, c, strict=True))
+        weighed = self._weigh(c)
+        w = self._a.x.array.copy()
+        _fill(b, explicit + self._transposed() if weighed else explicit)
         y = b.duplicate()
         linear.solve(b, y, transposed=True)
         lam, nu = np.array(y.array_r), 0.0
-        if self._border is not None:
-            lam, nu = self._border.eliminated(linear, lam, b, y, self._is_q, w, self._set)
+        if self.border is not None:
+            lam, nu = self.border.eliminated(linear, lam, w, c, (b, y), self._set)
         y.destroy()
-        owned = len(lam)
         adjoint = w.copy()
-        adjoint[:owned] -= lam
+        adjoint[: len(lam)] -= lam
         self._set(adjoint)
-        held = self._held(explicit, nu)
-        return [
-            self._by(m, slopes, supports, held, nu)
-            for m, (slopes, supports) in zip(self.parameters, self._slopes, strict=True)
-        ]
+        held = np.zeros(len(lam))
+        if any(s.moves_supports for s in self.slopes):
+            rows = problem.constrained
+            found = explicit + self._transposed()
+            found -= 0 if self.border is None else nu * self.border.by_state
+            held[rows] = found[rows]
+        pairs = zip(self.parameters, self.slopes, strict=True)
+        return [self._by(m, slopes, held, c, nu) for m, slopes in pairs]
 
     def _set(self, values: Array) -> None:
         """Put owned values into the function of adjoints, ghosts brought up to date."""
         self._a.x.array[: len(values)] = values
         self._a.x.scatter_forward()
 
-    def _explicit(self) -> Array:
-        """J_u at fixed weights of the residual, and what moves them; owned. Collective."""
-        problem, b = self.problem, self._b
-        if self._reaction is not None:
-            problem.residual(b)
-            return self._reaction.lever(problem, np.array(b.array_r))
-        with b.localForm() as local:
-            local.set(0)
-        if self._J is not None:
-            self._J.add_by_state(b)
-        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return np.array(b.array_r)
-
-    def _weighted(self) -> Array:
-        """Weights w of the residual, which are put into the function of adjoints. Collective."""
-        w = np.zeros_like(self._a.x.array)
-        if self._reaction is not None:
-            w = self._reaction.weights(self.problem)
-        self._set(w)
-        return self._a.x.array.copy()
+    def _weigh(self, c: list[Array]) -> bool:
+        """Put the residual's weights w into the function of adjoints; whether there are any."""
+        found = [
+            f[0] * w
+            for j, f in zip(self.measured, c, strict=True)
+            if (w := j.weights(self.problem)) is not None
+        ]
+        self._set(sum(found) if found else np.zeros_like(self._a.x.array))
+        return bool(found)
 
     def _transposed(self) -> Array:
         """K^T a, the tangent without boundary conditions; owned. Collective."""
         b = self._b
         if len(self.problem.terms) > 1:
-            return _by_matrix(self.problem, self._a, b)
+            return by_matrix(self.problem, self._a, b, transposed=True)
         if not isinstance(self._Ka, fem.Form):
             self._Ka = compiled(self._Ka)
         with b.localForm() as local:
@@ -245,43 +248,39 @@ class Sensitivity:
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.array(b.array_r)
 
-    def _held(self, explicit: Array, nu: float) -> Array:
-        """Derivative by the prescribed values, 0 at free degrees of freedom; owned. Collective."""
-        moving = [s for _, s in self._slopes if s is not None and not s.empty]
-        if not moving and not any(s is None for _, s in self._slopes):
-            return np.zeros(0)
-        found = explicit + self._transposed()
-        if self._border is not None:
-            found -= nu * self._border.by_state
-        held = np.zeros(len(found))
-        rows = self.problem.constrained
-        held[rows] = found[rows]
-        return held
-
-    def _by(self, m: Any, slopes: dict, supports: Any, held: Array, nu: float) -> Any:
-        weights = {"R": 1.0, "J": 1.0, "G": -nu}
-        if supports is None:
+    def _by(self, m: Any, slopes: Slopes, held: Array, c: list[Array], nu: float) -> Any:
+        if isinstance(m, Support):
             found = fem.Function(self.problem.u.function_space, name="gradient")
             rows = held_by(self.problem, m)
             found.x.array[rows] = held[rows]
             found.x.scatter_forward()
             return found
-        if is_field(m):
+        weighted = slopes.weighted(c, nu)
+        if isinstance(m, fem.Function):
             found = fem.Function(m.function_space, name="gradient")
-            for name, slope in slopes.items():
-                if slope.empty:
-                    continue
-                part = fem.Function(m.function_space)
-                slope.add_numbers(part)
-                found.x.array[:] += weights[name] * part.x.array
+            for factor, slope in weighted:
+                slope.add_numbers(found, factor)
             return found
-        total = sum(weights[name] * slope.numbers() for name, slope in slopes.items())
-        if not supports.empty:
+        total = sum((factor * slope.numbers() for factor, slope in weighted), np.zeros(m.ufl_shape))
+        if slopes.supports is not None and slopes.moves_supports:
             total = np.array(total)
-            for k in supports.entries(self._b):
-                own = float(held @ self._b.array_r)
-                total[k] += self.problem.comm.allreduce(own)
-        return float(total) if m.ufl_shape == () else np.array(total)
+            for k in slopes.supports.entries(self._b):
+                total[k] += self.problem.comm.allreduce(float(held @ self._b.array_r))
+        return float(total) if m.ufl_shape == () else total
+
+
+def check_memory(problem: Problem) -> None:
+    """Refuse terms whose state depends on earlier ones.
+
+    Raises:
+        ValueError: there is one.
+    """
+    for term in problem.terms:
+        if term.history():
+            raise ValueError(
+                "derivatives need a state that only the present loads decide, got a term that "
+                f"keeps a history, {type(term).__name__}: paths in time are not differentiated."
+            )
 
 
 class _Held:
@@ -292,34 +291,43 @@ class _Held:
     """
 
     def __init__(
-        self, problem: Problem, border: tuple[fem.Constant, ufl.Form], R: ufl.Form, J: Any
+        self,
+        problem: Problem,
+        border: tuple[fem.Constant, ufl.Form],
+        R: ufl.Form,
+        measured: list[Any],
     ) -> None:
         self.problem, self.q = problem, (q := border[0])
         self.functional = Functional(border[1], problem)
         self.form = self.functional.form
-        self._R_q = Slope(R, q)
-        self._G_q = Slope(self.form, q)
-        self._J_q = None if J is None else Slope(J.form, q)
+        self._R_q, self._G_q = Slope(R, q), Slope(self.form, q)
+        self._J_q = [Slope(j.form, q) if isinstance(j, Functional) else None for j in measured]
+        self._is_q = [isinstance(j, Scalar) for j in measured]
         self.by_state: Array = np.zeros(0)
 
     def eliminated(
-        self, linear: Linearized, y: Array, b: Any, room: Any, is_q: bool, w: Array, put: Any
+        self,
+        linear: Linearized,
+        y: Array,
+        w: Array,
+        c: list[Array],
+        room: tuple[PETSc.Vec, PETSc.Vec],
+        put: Callable[[Array], None],
     ) -> tuple[Array, float]:
         """Owned lambda, and nu. Collective."""
-        with b.localForm() as local:
-            local.set(0)
-        self.functional.add_by_state(b)
-        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        self.by_state = np.array(b.array_r)
-        linear.solve(b, room, transposed=True)
-        z = np.array(room.array_r)
-        J_q = float(is_q) if self._J_q is None else float(self._J_q.numbers())
-        put(w)
-        J_q += float(self._R_q.numbers())
-        put(y)
-        load = float(self._R_q.numbers())
-        put(z)
-        nu = (J_q - load) / (float(self._G_q.numbers()) - float(self._R_q.numbers()))
+        self.by_state = self.functional.by_state(self.problem, np.ones(1))
+        _fill(room[0], self.by_state)
+        linear.solve(*room, transposed=True)
+        z = np.array(room[1].array_r)
+
+        def load(a: Array) -> float:
+            put(a)
+            return float(self._R_q.numbers())
+
+        J_q = load(w)
+        for f, slope, is_q in zip(c, self._J_q, self._is_q, strict=True):
+            J_q += f[0] * (float(is_q) if slope is None else float(slope.numbers()))
+        nu = (J_q - load(y)) / (float(self._G_q.numbers()) - load(z))
         return y - nu * z, nu
 
 
@@ -329,8 +337,8 @@ def _fill(b: PETSc.Vec, values: Array) -> None:
     b.array[:] = values
 
 
-def _by_matrix(problem: Problem, a: fem.Function, b: PETSc.Vec) -> Array:
-    """K^T a by a matrix without boundary conditions, where terms add to the tangent. Collective."""
+def by_matrix(problem: Problem, a: fem.Function, b: PETSc.Vec, transposed: bool) -> Array:
+    """K a or K^T a without boundary conditions, by a matrix that terms add to. Collective."""
     A = insertion.create_matrix(problem.forms.tangent_form)
     insertion.assemble(A, problem.forms.tangent_form, [])
     for term in problem.terms[1:]:
@@ -338,7 +346,7 @@ def _by_matrix(problem: Problem, a: fem.Function, b: PETSc.Vec) -> Array:
     A.assemble()
     x = A.createVecRight()
     x.array[:] = a.x.array[: len(x.array_r)]
-    A.multTranspose(x, b)
+    (A.multTranspose if transposed else A.mult)(x, b)
     found = np.array(b.array_r)
     for item in (A, x):
         item.destroy()
