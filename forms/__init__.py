@@ -29,15 +29,17 @@ from .loads import (
     pressure_potential,
     spring,
 )
-from .measured import Reaction
+from .measured import Displacements, Reaction
 from .membranes import enclosed_volume, membrane_gradient
 from .paths import NotConverged, Path
 from .problems import Problem
 from .programs import table
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
 from .solving import (
+    Data,
     arc_length,
     control,
+    fit,
     follow,
     gradient,
     lowest_modes,
@@ -111,6 +113,9 @@ __all__ = [  # in the order a user meets them
     "lowest_modes",
     "gradient",
     "Reaction",
+    "fit",
+    "Data",
+    "Displacements",
     "Path",
     "NotConverged",
     "resultant",

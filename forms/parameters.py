@@ -23,8 +23,10 @@ from .supports import Prescribed, Support
 Array = NDArray[np.float64]
 
 
-def check_parameters(parameters: Any, problem: Problem, what: str) -> list[Any]:
-    """Parameters as a list.
+def check_parameters(
+    parameters: Any, problem: Problem, what: str, supports: bool = True
+) -> list[Any]:
+    """Parameters as a list; with or without supports among them.
 
     Raises:
         ValueError: one that is no Constant, Function of the mesh or support of the problem, or is
@@ -34,7 +36,7 @@ def check_parameters(parameters: Any, problem: Problem, what: str) -> list[Any]:
     if not listed:
         raise ValueError(f"{what} needs at least one parameter, got none.")
     for m in listed:
-        if isinstance(m, Support):
+        if isinstance(m, Support) and supports:
             if m not in problem.supports:
                 raise ValueError(
                     f"{what} got a support that is not one of the problem's: pass the object that "
@@ -42,8 +44,9 @@ def check_parameters(parameters: Any, problem: Problem, what: str) -> list[Any]:
                 )
         elif not isinstance(m, fem.Constant | fem.Function):
             raise ValueError(
-                f"{what} needs parameters that can change: Constants, Functions or supports, got "
-                f"{type(m).__name__} {m}: write the potential with a fem.Constant."
+                f"{what} needs parameters that can change: Constants, Functions"
+                f"{' or supports' * supports}, got {type(m).__name__} {m}: write the potential "
+                "with a fem.Constant."
             )
         elif m is problem.u:
             raise ValueError(f"{what} got the unknown {m.name} as a parameter: it is solved for.")

@@ -3,6 +3,9 @@
 
 from ..paths import Convergence, NotConverged, Path, Step
 from .arclength import arc_length
+from .data import Data
+from .fitted import Fit
+from .fitting import fit
 from .following import follow, solve
 from .newton import Newton
 from .sensitivity import gradient
@@ -12,11 +15,14 @@ from .targets import control
 __all__ = [
     "Convergence",
     "Newton",
+    "Data",
+    "Fit",
     "NotConverged",
     "Path",
     "Step",
     "arc_length",
     "control",
+    "fit",
     "follow",
     "gradient",
     "lowest_modes",
