@@ -8,6 +8,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
+from demos.validation import treloar
 from variform import forms, meshes
 
 
@@ -230,3 +231,27 @@ def test_bad_input_gets_one_sentence(change, message):
     }
     with pytest.raises(ValueError, match=message):
         calls[change]()
+
+
+@pytest.mark.slow
+def test_treloars_data_through_solves():
+    """Ogden's constants from solves of the three specimens are those from formulas, to 1e-6."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=1, cells="quadrilateral")
+    c = fem.Constant(body.mesh, treloar.ENERGIES["Ogden"][1])
+    data = []
+    for mode in treloar.MODES:
+        stretches, stresses = treloar.measured(mode)
+        u, t = forms.displacement(body), forms.load_factor(body, 1.0)
+        F = forms.plane_stress_incompressible(u)
+        psi = forms.energies.ogden(F, [c[0], c[1], c[2]], [c[3], c[4], c[5]])
+        held = [forms.roller(u, body.facets(a), k) for k, a in enumerate(("left", "bottom"))]
+        held.append(forms.translate(u, body.facets("right"), (t - 1, None)))
+        if mode != "uniaxial":
+            rise = t - 1 if mode == "equibiaxial" else 0 * t
+            held.append(forms.translate(u, body.facets("top"), (None, rise)))
+        problem = forms.Problem(psi * ufl.dx, u, held)
+        sigma = np.linalg.norm(stresses)
+        force = forms.Reaction(body.facets("right"))
+        data.append(forms.Data(problem, force, stresses, sigma=sigma, t=t, loads=[*stretches]))
+    fit = forms.fit(data, c, progress=False)
+    assert fit.values == pytest.approx(treloar.fit("Ogden")[0], rel=1e-6)

@@ -15,7 +15,7 @@ from ..parameters import Slope, check_parameters, name_of
 from ..paths import NotConverged
 from ..results import integral
 from .data import Data
-from .fitted import Fit, determined
+from .fitted import BLIND, Fit, determined
 from .linearized import Linearized
 from .numbers import Numbers
 from .progress import bar_of
@@ -23,6 +23,7 @@ from .rates import Rate
 from .visits import Visits
 
 Array = NDArray[np.float64]
+STEPS = 20  # of Gauss-Newton at the end
 TERMS = 20  # corrections that the quasi-Newton method remembers
 
 
@@ -146,9 +147,28 @@ class _Misfit:
                 )
             z = numbers.comm.bcast(result.x)
             self._evaluate(z, anew=True)
+            if self.forward:
+                z = self._polished(z, low, high, tolerance)
             if check:
                 self._check(z)
         return self._fit(z, bool(result.success), str(result.message))
+
+    def _polished(self, z: Array, low: Array, high: Array, tolerance: float) -> Array:
+        """Gauss-Newton steps to the end: squares no longer fall long before numbers stand still."""
+        last = np.inf
+        for _ in range(STEPS):
+            step = -np.linalg.lstsq(self._J, self._r, rcond=BLIND**0.5)[0]
+            length = float(np.linalg.norm(step))
+            inside = np.all((z + step > low) & (z + step < high))
+            if not (inside and tolerance < length < min(last, 0.1)):
+                break
+            before = self._value
+            self._evaluate(z + step)
+            if not self._value <= before * (1 + 1e-6):
+                self._evaluate(z)
+                break
+            z, last = z + step, length
+        return z
 
     def _fit(self, z: Array, converged: bool, reason: str) -> Fit:
         numbers = self.numbers
