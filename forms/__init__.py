@@ -45,6 +45,7 @@ from .solving import (
     lowest_modes,
     negative_eigenvalues,
     solve,
+    unload,
 )
 from .supports import (
     clamp,
@@ -116,6 +117,7 @@ __all__ = [  # in the order a user meets them
     "fit",
     "Data",
     "Displacements",
+    "unload",
     "Path",
     "NotConverged",
     "resultant",

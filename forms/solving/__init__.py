@@ -11,6 +11,7 @@ from .newton import Newton
 from .sensitivity import gradient
 from .stability import lowest_modes, negative_eigenvalues
 from .targets import control
+from .unloading import unload
 
 __all__ = [
     "Convergence",
@@ -28,4 +29,5 @@ __all__ = [
     "lowest_modes",
     "negative_eigenvalues",
     "solve",
+    "unload",
 ]
