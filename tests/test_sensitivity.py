@@ -192,6 +192,10 @@ def test_terms_with_a_history_are_refused():
     """What a path in time leads to depends on more than the last state."""
     problem, _, mu = square()
     path = forms.solve(problem)
+    path.velocity = problem.u
+    with pytest.raises(ValueError, match="a state at rest: paths in time are not differentiated"):
+        forms.gradient(path, problem.u[0] * ufl.dx, mu)
+    path.velocity = None
     problem.terms[0].history = lambda: {"velocity": np.zeros(3)}
     with pytest.raises(ValueError, match="keeps a history, FormTerm: paths in time are not"):
         forms.gradient(path, problem.u[0] * ufl.dx, mu)

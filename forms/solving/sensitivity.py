@@ -85,6 +85,8 @@ def sensitivity(path: Any, J: Any, parameters: Any, what: str) -> Sensitivity:
             f"{what} needs a path or a problem at its solution, got {type(problem).__name__}: pass "
             "what forms.solve or forms.follow returned."
         )
+    if getattr(path, "velocity", None) is not None:
+        raise ValueError(f"{what} needs a state at rest: paths in time are not differentiated.")
     border = getattr(path, "held", None)
     listed = check_parameters(parameters, problem, what)
     given = (J, *(border or ()), *listed)
