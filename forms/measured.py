@@ -80,10 +80,12 @@ class Reaction:
 
     def weights(self, problem: Problem) -> Array:
         """Entries w of the unknown, ghosts left out, with which the value is R . w. Collective."""
-        dofs, counted, x = self._nodes(problem)
+        dofs, counted = self._nodes(problem)
         gdim = dofs.shape[1]
         directions = np.tile(self._d, (len(dofs), 1))
         if self.about is not None:
+            W = _displacement(problem).collapsed[0]
+            x = np.array(W.tabulate_dof_coordinates()[: len(dofs)])
             x[:, :gdim] += problem.u.x.array[dofs]
             directions[:] = np.cross(self._d, x - _padded(self.about))
         w = np.zeros(len(problem.u.x.array))
@@ -94,7 +96,7 @@ class Reaction:
         """Derivative by the unknown at fixed R, R_a x d by a moment's arms, times c. Collective."""
         b = _owned(problem)
         if self.about is not None:
-            dofs, counted, _ = self._nodes(problem)
+            dofs, counted = self._nodes(problem)
             room = problem.create_vector()
             problem.residual(room)
             R = c[0] * room.array_r
@@ -104,12 +106,11 @@ class Reaction:
             b[dofs] = np.cross(forces, self._d)[:, : dofs.shape[1]]
         return b
 
-    def _nodes(self, problem: Problem) -> tuple[NDArray[np.int32], NDArray[np.bool_], Array]:
+    def _nodes(self, problem: Problem) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Entries of the unknown at owned nodes, and which count, both (nodes, components)."""
         W, numbers = _displacement(problem).collapsed
         counted = _counted(problem, W, numbers, self.where, self.dim)
-        count, gdim = counted.shape
-        dofs = numbers[: count * gdim].reshape(count, gdim)
-        return dofs, counted, np.array(W.tabulate_dof_coordinates()[:count])
+        return numbers[: counted.size].reshape(counted.shape), counted
 
 
 @dataclass(frozen=True, eq=False)
