@@ -12,6 +12,7 @@ from test_problems import Well
 
 from variform import forms, meshes
 from variform.forms.measured import measured
+from variform.forms.solving.linear.kept import Kept
 from variform.forms.solving.linearized import Linearized
 from variform.forms.solving.rates import Rates
 from variform.forms.solving.settings import Settings
@@ -254,3 +255,46 @@ def test_forward_and_adjoint_agree(name):
     for J, column in zip(scene.measured.values(), columns, strict=True):
         gradients = [np.ravel(g) for g in forms.gradient(path, J, constants)]
         assert column[0] == pytest.approx(np.concatenate(gradients), rel=1e-8, abs=1e-10)
+
+
+def cube(mixed, settings):
+    """A nearly incompressible cube, solved with some preset; its gradient by moduli."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=3, cells="hexahedron")
+    w = forms.displacement_pressure(body) if mixed else forms.displacement(body)
+    mu = scenes.field(body, ("DG", 0), lambda x: 1 + 0.5 * x[0], "mu")
+    F = forms.deformation_gradient(w["u"])
+    psi = forms.energies.neo_hookean(F, mu, 2.0)
+    if mixed:
+        psi = forms.energies.isochoric_neo_hookean(F, mu)
+        psi = forms.energies.with_pressure(psi, F, w["p"], 50.0)
+    pull = forms.translate(w, body.facets("right"), (0.1, 0.05, 0.0))
+    problem = forms.Problem(psi * ufl.dx, w, [forms.clamp(w, body.facets("left")), pull])
+    path = forms.solve(problem, settings=settings, **scenes.TIGHT)
+    force = forms.Reaction(body.facets("right"))
+    return problem, forms.gradient(path, force, mu).x.array.copy()
+
+
+def test_a_field_split_solves_for_adjoints_too():
+    """Blocks of a mixed unknown, kept from the solve, give the gradient of a factorization."""
+    problem, split = cube(True, Settings(split_from={"hexahedron": 10}))
+    assert problem.solver[1].tangent.kept.used
+    problem, whole = cube(True, None)
+    assert not problem.solver[1].tangent.kept.used
+    assert split == pytest.approx(whole, abs=1e-5 * np.abs(whole).max())
+
+
+def test_where_multigrid_fails_there_is_a_factorization(monkeypatch):
+    """A linear solver that gives up, as in an unstable state, is replaced for this gradient."""
+    _, whole = cube(False, None)
+    monkeypatch.setattr(Kept, "solve_to", lambda *_: False)
+    _, found = cube(False, Settings(direct_up_to=10))
+    assert found == pytest.approx(whole, abs=1e-10 * np.abs(whole).max())
+
+
+def test_a_singular_tangent_is_told():
+    """A body that nothing holds: no adjoint, and a sentence."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+    u, mu = forms.displacement(body), fem.Constant(body.mesh, 1.0)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, 2.0)
+    with pytest.raises(forms.NotConverged, match="is the state a limit point, or not in"):
+        forms.gradient(forms.Problem(psi * ufl.dx, u), u[0] * ufl.dx, mu)
