@@ -136,9 +136,9 @@ def test_inclusions_within_their_deviations():
     assert inside >= 19
 
 
-def test_a_field_with_regularization():
-    """A modulus that varies in space comes back from inner displacements, to 2 % of its square."""
-    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=8)
+def blob(comm=MPI.COMM_SELF, n=8):
+    """A square with a modulus exp(m): its data, m at 0, m as it was, a regularization."""
+    body = meshes.block(comm, (1.0, 1.0), n=n)
     u = forms.displacement(body)
     m = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1)), name="m")
     exact = fem.Function(m.function_space)
@@ -152,9 +152,14 @@ def test_a_field_with_regularization():
     s = np.linspace(0.1, 0.9, 9)
     inner = forms.Displacements([(x, y) for x in s for y in s])
     y = inner.values(problem).reshape(inner.shape(problem))
-    data = forms.Data(problem, inner, y, sigma=1e-3)
     m.x.array[:] = 0.0
     smooth = 1e-2 * ufl.inner(ufl.grad(m), ufl.grad(m)) * ufl.dx
+    return forms.Data(problem, inner, y, sigma=1e-3), m, exact, smooth
+
+
+def test_a_field_with_regularization():
+    """A modulus that varies in space comes back from inner displacements, to 2 % of its square."""
+    data, m, exact, smooth = blob()
     before = forms.integral(exact**2 * ufl.dx)
     fit = forms.fit(data, m, regularization=smooth, progress=False)
     after = forms.integral((m - exact) ** 2 * ufl.dx)
@@ -167,7 +172,8 @@ import json
 from mpi4py import MPI
 import numpy as np
 from variform import forms
-from test_fitting import inclusions
+import ufl
+from test_fitting import blob, inclusions
 
 comm = MPI.COMM_WORLD
 problem, a, b, rim = inclusions(comm, 8)
@@ -176,15 +182,19 @@ y = rim.values(problem).reshape(rim.shape(problem))
 y += 1e-3 * np.random.default_rng(1).normal(size=y.shape)
 a.value = b.value = 2.0
 fit = forms.fit(forms.Data(problem, rim, y, sigma=1e-3), [a, b], progress=False)
+data, m, exact, smooth = blob(comm, 5)
+field = forms.fit(data, m, regularization=smooth, most=10, check=False, progress=False)
+moments = [forms.integral(m**k * ufl.dx) for k in (1, 2)]
 if comm.rank == 0:
-    print(json.dumps([*fit.values.tolist(), *fit.deviations.tolist()]))
+    print(json.dumps([*fit.values.tolist(), *fit.deviations.tolist(), *moments]))
 """
 
 
 def test_ranks_agree(parallel):
-    """A fit is the same on 1 and 2 ranks, to its tolerance."""
+    """A fit is the same on 1 and 2 ranks to its tolerance, of a field the first evaluations are."""
     one, two = (parallel(SCRIPT, ranks) for ranks in (1, 2))
-    assert two == pytest.approx(one, rel=1e-7)
+    assert two[:4] == pytest.approx(one[:4], rel=1e-7)
+    assert two[4:] == pytest.approx(one[4:], rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ NAMES = (
     "scaling",
     "kills",
     "validity",
+    "sensitivities",
 )
 
 
