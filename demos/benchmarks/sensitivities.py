@@ -119,20 +119,9 @@ def main(small=False, write=False):
         table.add(scene=name, **measured(make, toy if small else n))
     table.write()
     if write and COMM.rank == 0:
-        columns = (
-            "scene",
-            "unknowns",
-            "parameters",
-            "forward, s",
-            "backward, s",
-            "ratio",
-            "memory",
-        )
-        rows = [
-            [*(f"{v:,}" if isinstance(v, int) else v for v in list(row.values())[:-1])]
-            + [f"+{row['more memory']:.0%}"]
-            for row in table.rows
-        ]
+        columns = "scene", "unknowns", "parameters", "forward, s", "backward, s", "ratio", "memory"
+        rows = [[f"{v:,}" if isinstance(v, int) else v for v in row.values()] for row in table.rows]
+        rows = [[*row[:-1], f"+{row[-1]:.0%}"] for row in rows]
         insert("sensitivities", markdown(columns, rows))
     return table.rows
 
