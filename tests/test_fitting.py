@@ -49,6 +49,15 @@ def test_two_moduli_from_one_curve():
     assert fit.evaluations < 15 and fit.history[0] > fit.history[-1]
 
 
+def test_a_bound_that_holds_a_number_is_told():
+    """The modulus would be 1.3; it may not be above 1."""
+    problem, t, mu, _, force = pulled()
+    data = forms.Data(problem, force, curve(problem, t, force), t=t, loads=LOADS)
+    mu.value = 0.5
+    fit = forms.fit(data, {"mu": mu}, bounds={"mu": (0.1, 1.0)}, progress=False)
+    assert fit.values == pytest.approx([1.0], rel=1e-5) and "At a bound: mu." in fit.reason
+
+
 def test_covariance_is_that_of_the_jacobian(tmp_path):
     """With sigma given it is (J^T J)^-1, J by differences of solves; the bars and a picture."""
     problem, t, mu, lmbda, force = pulled()

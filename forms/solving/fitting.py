@@ -24,6 +24,7 @@ from .visits import Visits
 
 Array = NDArray[np.float64]
 STEPS = 20  # of Gauss-Newton at the end
+STUCK = 1e-6  # distance from a bound, in a number's scale, that counts as none
 TERMS = 20  # corrections that the quasi-Newton method remembers
 
 
@@ -175,6 +176,11 @@ class _Misfit:
         fit = Fit(numbers.names, z * numbers.scale, self.data, self.fitted, self._r, self._value)
         fit.evaluations, fit.history = len(self.history), self.history
         fit.converged, fit.reason = converged, reason.rstrip(".") + "."
+        low, high = numbers.low, numbers.high
+        near = STUCK * numbers.scale
+        bound = np.flatnonzero((fit.values <= low + near) | (fit.values >= high - near))
+        if len(bound) and not numbers.fields:
+            fit.reason += f" At a bound: {', '.join(numbers.names[n] for n in bound)}."
         if self.forward:
             spare = max(1, len(self._r) - numbers.size)
             known = all(d.sigma is not None for d in self.data)
