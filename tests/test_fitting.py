@@ -199,6 +199,7 @@ if comm.rank == 0:
 """
 
 
+@pytest.mark.slow
 def test_ranks_agree(parallel):
     """A fit is the same on 1 and 2 ranks to its tolerance, of a field the first evaluations are."""
     one, two = (parallel(SCRIPT, ranks) for ranks in (1, 2))

@@ -72,7 +72,7 @@ if comm.rank == 0:
 """
 
 
-FEW = ["text", "mixed", "volume"]
+FEW = ["text", "volume"]
 
 
 @pytest.mark.parametrize(
@@ -183,6 +183,29 @@ def test_a_term_of_ones_own_takes_part():
         assert np.log2(rest[1] / rest[2]) == pytest.approx(2, abs=0.05)
 
 
+def test_a_function_in_a_support_is_refused():
+    """Its own values are what a support moves with: by those the gradient is available."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+    u, pull = forms.displacement(body), scenes.field(body, ("Lagrange", 1), 0.1, "pull")
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    held = [
+        forms.clamp(u, body.facets("left")),
+        forms.translate(u, body.facets("right"), (pull, 0)),
+    ]
+    path = forms.solve(psi * ufl.dx, u, held)
+    with pytest.raises(ValueError, match="the Function pull stands in a support: pass the support"):
+        forms.gradient(path, u[0] * ufl.dx, pull)
+    assert forms.gradient(path, u[0] * ufl.dx, held[1]).x.array.any()
+
+
+def test_the_scalar_that_control_found_is_no_parameter():
+    """It moves with the parameters."""
+    scene = scenes.SCENES["volume"](MPI.COMM_SELF)
+    path = scene.solve()
+    with pytest.raises(ValueError, match="the scalar that control has found is no parameter"):
+        forms.gradient(path, scene.measured["functional"], path.held[0])
+
+
 def thrown(path):
     """The path, its unknown moved away from the solution."""
     path.u.x.array[8] += 0.1
@@ -214,6 +237,8 @@ def test_terms_with_a_history_are_refused():
         ("path", "needs a path or a problem at its solution, got Unknown"),
         ("J", "differentiates a functional .* got float"),
         ("unsolved", "needs a state in equilibrium, got forces of 0.21 N out of balance"),
+        ("displacements", "differentiates one number, got displacements: integrate them"),
+        ("axes", r"displacements of this body have the axes 0 to 1, got \(2,\)"),
         ("linear form", "a gradient needs a functional"),
         ("direction", "needs a direction of 2 or 3 components, got 1"),
     ],
@@ -236,6 +261,8 @@ def test_bad_input_gets_one_sentence(change, message):
         "path": lambda: forms.gradient(problem.u, J, mu),
         "J": lambda: forms.gradient(path, 1.0, mu),
         "unsolved": lambda: forms.gradient(thrown(path), J, mu),
+        "displacements": lambda: forms.gradient(path, forms.Displacements([(0.5, 0.5)]), mu),
+        "axes": lambda: forms.Displacements([(0.5, 0.5)], axes=(2,)).values(problem),
         "linear form": lambda: forms.gradient(path, problem.forms.residual_ufl, mu),
         "direction": lambda: forms.Reaction(body.facets("left"), 1),
     }
@@ -274,6 +301,7 @@ def cube(mixed, settings):
     return problem, forms.gradient(path, force, mu).x.array.copy()
 
 
+@pytest.mark.slow
 def test_a_field_split_solves_for_adjoints_too():
     """Blocks of a mixed unknown, kept from the solve, give the gradient of a factorization."""
     problem, split = cube(True, Settings(split_from={"hexahedron": 10}))

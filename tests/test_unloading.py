@@ -127,12 +127,14 @@ if MPI.COMM_WORLD.rank == 0:
 """
 
 
+@pytest.mark.slow
 def test_ranks_agree(parallel):
     """The rest shape's volume and middle are the same on 1 and 2 ranks."""
     one, two = (parallel(SCRIPT, ranks) for ranks in (1, 2))
     assert two == pytest.approx(one, rel=1e-9) and one[-1]
 
 
+@pytest.mark.slow
 def test_where_there_is_no_rest_shape():
     """Saint Venant-Kirchhoff's bar carries E/(3 sqrt 3) in compression at most: t = 0.19245."""
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=1)
