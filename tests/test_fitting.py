@@ -129,6 +129,7 @@ def inclusions(comm=MPI.COMM_SELF, n=12):
     return problem, a, b, forms.Displacements(rim)
 
 
+@pytest.mark.slow
 def test_inclusions_within_their_deviations():
     """With 1 % noise both stiffnesses lie within 3 standard deviations in 19 of 20 seeds."""
     problem, a, b, rim = inclusions()
@@ -168,7 +169,7 @@ def blob(comm=MPI.COMM_SELF, n=8):
 
 def test_a_field_with_regularization():
     """A modulus that varies in space comes back from inner displacements, to 2 % of its square."""
-    data, m, exact, smooth = blob()
+    data, m, exact, smooth = blob(n=6)
     before = forms.integral(exact**2 * ufl.dx)
     fit = forms.fit(data, m, regularization=smooth, progress=False)
     after = forms.integral((m - exact) ** 2 * ufl.dx)

@@ -72,7 +72,7 @@ if comm.rank == 0:
 """
 
 
-FEW = ["text", "volume"]
+FEW = ["text"]
 
 
 @pytest.mark.parametrize(
