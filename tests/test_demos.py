@@ -161,9 +161,9 @@ def test_unload(demo):
 
 @pytest.mark.slow
 def test_pose(demo):
-    """The bar's middle line meets the drawn curve to 0.1 % of its length."""
+    """The bar's middle line meets the drawn curve to 0.2 % of its length."""
     numbers, _ = demo("pose", "fit.png")
-    assert numbers["distance"] < 1e-3 and numbers["energy"] < 0.05 * numbers["straight"]
+    assert numbers["distance"] < 2e-3 and numbers["energy"] < 0.05 * numbers["straight"]
 
 
 @pytest.mark.slow

@@ -170,7 +170,7 @@ DEMOS = (
     Demo(
         "pose",
         shows="the contraction that makes a bar follow a drawn curve: `muscle` the other way round",
-        number="the middle line within 0.1 % of the length of the curve, at 5 % of the energy of "
+        number="the middle line within 0.2 % of the length of the curve, at 5 % of the energy of "
         "the bar kept straight",
         source="F A = R has any curve of the bar's length as its solution",
         picture="A bar bent to a wave, colored by the activation that was found",
