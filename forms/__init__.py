@@ -42,6 +42,7 @@ from .loads import (
     pressure_potential,
     spring,
 )
+from .measured import Displacements, Reaction
 from .membranes import enclosed_volume, membrane_gradient
 from .obstacles import obstacle
 from .paths import NotConverged, Path
@@ -49,15 +50,19 @@ from .problems import Problem
 from .programs import table
 from .results import at, displacement_of, integral, resultant, smallest_volume_ratio, volume
 from .solving import (
+    Data,
     arc_length,
     control,
+    fit,
     follow,
     frequencies,
+    gradient,
     lowest_modes,
     negative_eigenvalues,
     settle,
     solve,
     transient,
+    unload,
 )
 from .supports import (
     clamp,
@@ -67,7 +72,7 @@ from .supports import (
     rotate,
     translate,
 )
-from .touching import touching
+from .surface_contact import touching
 from .unknowns import (
     Role,
     displacement,
@@ -134,6 +139,12 @@ __all__ = [  # in the order a user meets them
     "frequencies",
     "negative_eigenvalues",
     "lowest_modes",
+    "gradient",
+    "Reaction",
+    "fit",
+    "Data",
+    "Displacements",
+    "unload",
     "Path",
     "NotConverged",
     "resultant",

@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.algorithms import expand_derivatives
 
 from ._checks import in_ufl
 from ._types import Expr
-from .differentiation import Pointwise, contains
+from .differentiation import Pointwise, contains, partial
 from .kinematics import _dimension, _embed
 from .native import jit
 
@@ -37,15 +39,21 @@ class ThicknessStretch(fem.Function):
         A = ufl.diff(P, self.F)
         i, J = ufl.indices(2)
         self._mixed = ufl.as_tensor(A[2, 2, i, J], (i, J))
-        self._slope = A[2, 2, 2, 2]
+        self._stress, self._slope = P[2, 2], A[2, 2, 2, 2]
         points = Q.custom_quadrature()[0]
-        self._newton = jit.expression(ufl.as_vector([P[2, 2], self._slope]), points, mesh)
+        self._newton = jit.expression(ufl.as_vector([self._stress, self._slope]), points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
 
-    def direction(self, unknown: fem.Function, du: Expr) -> Expr:
-        """Change of the thickness stretch when the displacement moves by du."""
-        return -ufl.inner(self._mixed, ufl.derivative(self.F, unknown, du)) / self._slope
+    def direction(self, unknown: Any, du: Expr) -> Expr:
+        """Change of the thickness stretch when the displacement, or a parameter, moves by du.
+
+        A parameter p changes it by - d2psi/dF33 dp[dp] / d2psi/dF33^2.
+        """
+        moved = expand_derivatives(partial(self.F, (unknown,), (du,)))
+        if not isinstance(moved, ufl.classes.Zero):
+            return -ufl.inner(self._mixed, moved) / self._slope
+        return -partial(self._stress, (unknown,), (du,)) / self._slope
 
     def update(self) -> None:
         """Solve dpsi/dF33 = 0 at every quadrature point; local."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Protocol, runtime_checkable
 
+import basix.ufl
 import ufl
 from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.map_integrands import map_integrand_dags
@@ -18,6 +19,7 @@ from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
+from . import _dolfinx
 from ._types import Expr
 
 
@@ -25,12 +27,13 @@ from ._types import Expr
 class Dependent(Protocol):
     """A coefficient that is a function of the unknown and knows its own derivative.
 
-    ``derivative`` differentiates through it: in direction du it moves by ``direction(du)``.
-    Before every assembly ``update()`` brings its values up to date.
+    ``derivative`` differentiates through it: in direction du it moves by ``direction(u, du)``, u
+    the unknown, or a Constant or Function that is a parameter. Before every assembly ``update()``
+    brings its values up to date.
     """
 
     def direction(self, unknown: Any, du: Expr) -> Expr:
-        """Change of the coefficient when the unknown moves by du."""
+        """Change of the coefficient when the unknown, or a parameter, moves by du."""
 
     def update(self) -> None:
         """Recompute the coefficient from the unknown's present values; collective."""
@@ -244,15 +247,36 @@ def rate(expression: Expr, u: Any, du: Expr) -> Expr:
     """Gateaux derivative of an expression or form at u in direction du, through its dependents.
 
     With coefficients c_k of u in it, it is the derivative in (u, c_1, ..) in the directions
-    (du, c_1'[du], ..). Derivative nodes inside are left for UFL to expand.
+    (du, c_1'[du], ..). Derivative nodes inside are left for UFL to expand. u is a Function, or a
+    Constant, for which a coefficient stands in.
     """
     expression = with_branches_outside(expanded(expression))
     chained = dependents(expression)
-    if not chained:
-        return ufl.derivative(expression, u, du)
     # A derivative node inside a direction is not lowered, so expand it first.
     moved = [expand_derivatives(c.direction(u, du)) for c in chained]
-    return ufl.derivative(expression, (u, *chained), (du, *moved))
+    return partial(expression, (u, *chained), (du, *moved))
+
+
+def partial(expression: Expr, at: tuple[Any, ...], directions: tuple[Expr, ...]) -> Expr:
+    """Gateaux derivative in some coefficients at once; the first may be a Constant.
+
+    What depends on the unknown, and is not among them, is held fixed.
+    """
+    if not isinstance(at[0], ufl.classes.Constant):
+        return ufl.derivative(expression, at, directions)
+    stand_in = _coefficient_like(at[0])
+    seen = ufl.replace(expand_derivatives(expression), {at[0]: stand_in})
+    found = ufl.derivative(seen, (stand_in, *at[1:]), directions)
+    return ufl.replace(expand_derivatives(found), {stand_in: at[0]})
+
+
+def _coefficient_like(c: Expr) -> ufl.Coefficient:
+    """Coefficient of a Constant's shape, constant in each cell."""
+    domain = ufl.domain.extract_unique_domain(c)
+    element = basix.ufl.element(
+        "DG", _dolfinx.cell_name(domain.ufl_cell()), 0, shape=c.ufl_shape or None
+    )
+    return ufl.Coefficient(ufl.FunctionSpace(domain, element))
 
 
 def diff(expression: Expr, variable: Expr) -> Expr:

@@ -9,6 +9,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from .barriers import Clearance
@@ -161,6 +162,7 @@ class Path:
         floor: Energy [J] that tolerances leave unknown.
         accounts: Rows of the ledger that are known step by step, those of motions.
         velocity, acceleration: Of a motion at its last time; None in statics.
+        held: Scalar that was found and functional that it holds at a value, after ``control``.
     """
 
     u: fem.Function
@@ -179,6 +181,7 @@ class Path:
     accounts: Ledger = field(default_factory=Ledger)
     velocity: fem.Function | None = None
     acceleration: fem.Function | None = None
+    held: tuple[fem.Constant, ufl.Form] | None = None
 
     @property
     def ledger(self) -> Ledger:

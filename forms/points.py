@@ -92,6 +92,10 @@ def require_inside(mesh: Any, x: Array, distance: Array, tolerance: float, what:
         )
 
 
+class Representer(fem.Function):
+    """Function whose integrals are values at points, as long as the mesh stays where it is."""
+
+
 def representer(mesh: Any, k: int, x: Array, weights: Array, what: str) -> tuple[Any, ufl.Measure]:
     """Function g and measure with int g v dx = sum_i w_i v(x_i) for every v of degree k.
 
@@ -111,7 +115,7 @@ def representer(mesh: Any, k: int, x: Array, weights: Array, what: str) -> tuple
     cells, distance = cells_at(mesh, x)
     require_inside(mesh, x, distance, 1e-8, what)
     V = fem.functionspace(mesh, ("Discontinuous Lagrange", k))
-    g, probe = fem.Function(V, name="load"), fem.Function(V)
+    g, probe = Representer(V, name="load"), fem.Function(V)
     cell_type = getattr(basix.CellType, mesh.topology.cell_name())
     points, rule = basix.make_quadrature(cell_type, 2 * k)
     scale = jit.expression(abs(ufl.JacobianDeterminant(mesh)), points, mesh)

@@ -14,8 +14,9 @@ from dolfinx import fem
 
 from ._checks import arity as check_arity
 from ._types import Expr
-from .differentiation import rate
+from .differentiation import dependents, expanded, rate
 from .loads import with_kinematics
+from .operators.jets import Jet
 from .unknowns import Field, field_of
 
 
@@ -33,6 +34,9 @@ def derivative(form: ufl.Form, u: fem.Function, du: Expr) -> ufl.Form:
     (:class:`~forms.differentiation.Dependent`) are differentiated through: the derivative is then
     taken in several coefficients at once, each in its own direction.
     """
+    for c in dependents(expanded(form)):
+        if isinstance(c, Jet):
+            c.jets.check_parameters(u)
     return rate(form, u, du)
 
 

@@ -112,6 +112,15 @@ def test_ends_of_hard_cases_are_found_again(run, tmp_path):
         assert line["steps"] == 200 and line["refused"] == 0 and line["unaccounted"] < 1e-6
 
 
+def test_benchmark_of_sensitivities_runs(run, tmp_path):
+    """Every scene, its gradient compiled and taken again."""
+    done = run("-m", "demos.benchmarks.sensitivities", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert [row["parameters"] for row in rows] == [2, 32, 48, 162, 384]
+    assert all(row["ratio"] > 0 for row in rows)
+    assert (tmp_path / "results" / "sensitivities.csv").stat().st_size > 200
+
+
 def test_benchmark_of_multigrid_runs(run, tmp_path):
     """Toy sizes: every element is solved both ways."""
     done = run("-m", "demos.benchmarks.multigrid", "--small", "P2", "Q2-Q1", cwd=tmp_path)

@@ -100,14 +100,16 @@ def test_a_target_that_is_far_is_reached_in_halves_or_refused():
     assert forms.integral(volume) == pytest.approx(20 * start, rel=1e-7)
 
 
-def test_a_scalar_inside_an_operand_is_refused():
-    """An activation as the unknown: its derivative is not available, and not taken for 0."""
+def test_a_scalar_inside_an_operand_is_found():
+    """The activation at which a free block is 1/1.1 as long is 1.1: F A = R, without stress."""
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=1)
     u, q = forms.displacement(body), fem.Constant(body.mesh, 1.0)
-    psi = forms.energies.activated(forms.deformation_gradient(u), q * ufl.Identity(3), 1.0)
-    with pytest.raises(ValueError, match="q stands inside the operand of an energy"):
-        held = [forms.clamp(u, body.facets("left"))]
-        forms.control(psi * ufl.dx, u, held, q, u[0] * ufl.dx, [0.1], progress=False)
+    A = ufl.as_matrix([[q, 0, 0], [0, 1, 0], [0, 0, 1]])
+    psi = forms.energies.activated(forms.deformation_gradient(u), A, 1.0)
+    held = [forms.roller(u, body.facets("left"), 0), forms.roller(u, body.facets("bottom"), 1)]
+    right = u[0] * body.ds("right")
+    forms.control(psi * ufl.dx, u, held, q, right, [1 / 1.1 - 1], progress=False)
+    assert float(q.value) == pytest.approx(1.1, rel=1e-8)
 
 
 SCRIPT = """

@@ -159,6 +159,30 @@ def test_reese(demo):
 
 
 @pytest.mark.slow
+def test_identify(demo):
+    """Both stiffnesses within 3 deviations; the field's error falls with the noise."""
+    numbers, printed = demo("identify", "noise.png")
+    assert numbers["two"] == pytest.approx([4.0, 8.0], rel=0.1)
+    errors = [numbers["errors"][level] for level in ("0.001", "0.003", "0.01", "0.03")]
+    assert errors == sorted(errors) and "+-" in printed
+
+
+@pytest.mark.slow
+def test_unload(demo):
+    """Loaded again, every node of the ventricle is where it was; the wall keeps its volume."""
+    numbers, _ = demo("unload")
+    assert numbers["distance"] < 1e-8
+    assert numbers["rest"][0] == pytest.approx(numbers["seen"][0], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_pose(demo):
+    """The bar's middle line meets the drawn curve to 0.2 % of its length."""
+    numbers, _ = demo("pose", "fit.png")
+    assert numbers["distance"] < 2e-3 and numbers["energy"] < 0.05 * numbers["straight"]
+
+
+@pytest.mark.slow
 def test_twist_on_two_ranks_gives_the_numbers_of_one(demo):
     """Moment and volume ratio at the end to 1e-6, at the default tolerances.
 

@@ -24,8 +24,8 @@ def code_cells(source):
 
 
 def test_numbers_have_no_gaps():
-    """01 to 09, a notebook for each source, and a line of the table for each notebook."""
-    assert [file.stem[:2] for file in SOURCES] == [f"{n:02d}" for n in range(1, 10)]
+    """01 to 12, a notebook for each source, and a line of the table for each notebook."""
+    assert [file.stem[:2] for file in SOURCES] == [f"{n:02d}" for n in range(1, 13)]
     built = sorted(file.stem for file in FOLDER.glob("*.ipynb"))
     assert built == [file.stem for file in SOURCES]
     rows = re.findall(r"^\| .*\[(.+?)\]\((\w+)\.ipynb\)", (FOLDER / "README.md").read_text(), re.M)

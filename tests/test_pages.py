@@ -298,7 +298,7 @@ def test_unknown_names_would_be_found():
 def known():
     """Names that a page about forms may call without saying where they are."""
     places = [forms, forms.energies, forms.kinematics, forms.membranes, forms.stress]
-    places += [meshes, meshes.Body, forms.Path, ufl, builtins]
+    places += [meshes, meshes.Body, forms.Path, forms.dissipation, forms.schemes, ufl, builtins]
     return {name for place in places for name in dir(place)} | {"psi"}  # a reader's own
 
 

@@ -194,6 +194,34 @@ DEMOS = (
         picture="A soft block that was thrown spinning, and where it was",
         more="`energy.png`, what is stored and what moves by both schemes, and `wobble.gif`",
     ),
+    Demo(
+        "identify",
+        shows="two stiff inclusions found from displacements of the rim with noise: two numbers "
+        "with their deviations, then a field of moduli",
+        number="both stiffnesses within 3 standard deviations; both disks in the field",
+        source="the moduli 4 and 8 that the data were made with",
+        picture="A square pulled upwards, colored by the logarithm of the modulus that was found: "
+        "two stiff disks",
+        more="`noise.png`, the error of the field over the noise",
+    ),
+    Demo(
+        "unload",
+        shows="a ventricle that is known under pressure, and its shape at rest",
+        number="loaded again, every node is at its given place to 1e-8 of the size; the wall "
+        "keeps its volume",
+        source="the given shape: Land et al., *Proc. R. Soc. A* 471 (2015) 20150641, problem 2",
+        picture="A ventricle under pressure, colored by how far its points are from their places "
+        "at rest",
+    ),
+    Demo(
+        "pose",
+        shows="the contraction that makes a bar follow a drawn curve: `muscle` the other way round",
+        number="the middle line within 0.2 % of the length of the curve, at 5 % of the energy of "
+        "the bar kept straight",
+        source="F A = R has any curve of the bar's length as its solution",
+        picture="A bar bent to a wave, colored by the activation that was found",
+        more="`fit.png`, places found over places drawn",
+    ),
 )
 
 

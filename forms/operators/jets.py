@@ -8,13 +8,13 @@ differentiated by the chain rule: in direction d, W moves by P : X'[d] and P by 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import basix.ufl
 import numpy as np
 import ufl
-from ufl.algorithms import expand_derivatives, extract_arguments
+from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
 from ufl.algorithms.expand_indices import expand_indices
 
 from .. import _dolfinx
@@ -120,12 +120,38 @@ class Jets:
         entries = np.array(packed[: rows * cols], dtype=object).reshape(rows, cols)
         self.X = ufl.as_matrix(entries.tolist())
         self.parameters = packed[rows * cols :]
+        self._packed = packed
         self._levels: dict[int, Jet] = {}
+        self._by_parameter: dict[int, Jets] = {}
 
     def __getitem__(self, level: int) -> Jet:
         if level not in self._levels:
             self._levels[level] = Jet(self, level)
         return self._levels[level]
+
+    def check_parameters(self, u: Any) -> None:
+        """Refuse parameters that depend on the unknown.
+
+        Each derivative by one is an operator of its own: two derivatives, by all components of all
+        functions that are inside, would be more than an integral may have.
+        """
+        if self.parameters and u in extract_coefficients(ufl.as_vector(self.parameters)):
+            raise ValueError(self.refusal)
+
+    @property
+    def refusal(self) -> str:
+        """Sentence on a parameter that depends on the unknown."""
+        return (
+            f"a parameter of {self.kind.function.name} depends on the unknown: only its operand "
+            "may; add such a term to the energy in plain UFL."
+        )
+
+    def by_parameter(self, k: int) -> Jets:
+        """Those of d psi_hat / d p_k: singular values do not depend on parameters."""
+        if k not in self._by_parameter:
+            kind = replace(self.kind, function=self.kind.function.by_parameter(k))
+            self._by_parameter[k] = Jets(self._packed, kind)
+        return self._by_parameter[k]
 
 
 class Jet(ufl.Coefficient):
@@ -142,31 +168,39 @@ class Jet(ufl.Coefficient):
         self.jets, self.level = jets, level
 
     def direction(self, unknown: Any, du: Expr) -> Expr:
-        """Change when the unknown moves by du: the next derivative contracted with X'[du]."""
-        return _contract(self._next(lambda e: rate(e, unknown, du)), self.level)
+        """Change when the unknown, or a parameter, moves by du.
+
+        The next derivative contracted with X'[du], and the same derivative of d psi_hat / d p_k
+        times p_k'[du].
+        """
+        found: Expr = ufl.classes.Zero(self.ufl_shape)
+        dX = expand_derivatives(rate(self.jets.X, unknown, du))
+        if not isinstance(dX, ufl.classes.Zero):
+            found += _contract(self._following(), dX, self.level)
+        for k, parameter in enumerate(self.jets.parameters):
+            dp = expand_derivatives(rate(parameter, unknown, du))
+            if not isinstance(dp, ufl.classes.Zero):
+                found += dp * self.jets.by_parameter(k)[self.level]
+        return found
 
     def slope(self, variable: Expr) -> Expr:
         """Derivative with respect to a ``ufl.variable`` of the operand."""
-        following, dX = self._next(lambda e: ufl.diff(e, variable))
+        dX = expand_derivatives(ufl.diff(self.jets.X, variable))
         i, j = ufl.indices(2)
         head, tail = ufl.indices(2 * self.level), ufl.indices(len(variable.ufl_shape))
-        return ufl.as_tensor(following[(*head, i, j)] * dX[(i, j, *tail)], head + tail)
-
-    def _next(self, differentiate: Any) -> tuple[Expr, Expr]:
-        jets = self.jets
-        if jets.parameters:
-            change = expand_derivatives(differentiate(ufl.as_vector(jets.parameters)))
+        if self.jets.parameters:
+            change = expand_derivatives(ufl.diff(ufl.as_vector(self.jets.parameters), variable))
             if not isinstance(change, ufl.classes.Zero):
-                raise ValueError(
-                    f"a parameter of {jets.kind.function.name} depends on the unknown: only its "
-                    "operand may; add such a term to the energy in plain UFL."
-                )
+                raise ValueError(self.jets.refusal)
+        return ufl.as_tensor(self._following()[(*head, i, j)] * dX[(i, j, *tail)], head + tail)
+
+    def _following(self) -> Jet:
         if self.level == 2:
             raise ValueError(
                 "the third derivative of an energy in singular values is not available: a form "
                 "that holds its tangent cannot be differentiated again."
             )
-        return jets[self.level + 1], expand_derivatives(differentiate(jets.X))
+        return self.jets[self.level + 1]
 
     def update(self) -> None:
         """Bring what the operand depends on up to date; the kernels compute the values."""
@@ -176,8 +210,7 @@ class Jet(ufl.Coefficient):
         _refuse_compiling()
 
 
-def _contract(following_and_rate: tuple[Expr, Expr], level: int) -> Expr:
-    following, dX = following_and_rate
+def _contract(following: Expr, dX: Expr, level: int) -> Expr:
     if level == 0:
         return ufl.inner(following, dX)
     i, j, k, n = ufl.indices(4)

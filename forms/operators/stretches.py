@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from copy import copy
 from itertools import permutations
 from typing import Any
 
@@ -23,7 +24,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_constants
 
 from .._types import Expr
-from ..differentiation import with_branches_outside
+from ..differentiation import rate, with_branches_outside
 from ..native import jit
 from ..native.library import MAX_PARAMETERS
 from .texts import NOWHERE, PROBES, text
@@ -55,7 +56,6 @@ class StretchFunction:
 
     def __init__(self, psi_hat: Callable[..., Expr], n: int, name: str) -> None:
         self.n, self.name = n, name
-        self._compiled: tuple[Any, Any] | None = None
         probe = PROBES[n]
         psi = with_branches_outside(expand_derivatives(text(psi_hat, n, name)))
         if psi.ufl_shape != () or psi.ufl_free_indices:
@@ -79,15 +79,31 @@ class StretchFunction:
             shaped = entries.reshape(leaf.ufl_shape).tolist() if leaf.ufl_shape else entries[0]
             stand_ins[leaf] = ufl.as_tensor(shaped) if leaf.ufl_shape else shaped
             start += size
-        self._psi = ufl.replace(psi, stand_ins)
+        self._s, self._psi = s, ufl.replace(psi, stand_ins)
+        self._check_symmetry([v for leaf in leaves for v in _known_values(leaf)])
+        self._derive()
+
+    def _derive(self) -> None:
+        n, s = self.n, self._s
         g = ufl.diff(self._psi, s)
         H = ufl.diff(g, s)
         upper = [H[i, j] for i in range(n) for j in range(i, n)]
         self.jet = ufl.as_vector([self._psi, *(g[i] for i in range(n)), *upper])
-        self._check_symmetry([v for leaf in leaves for v in _known_values(leaf)])
         flips = [(i, j) for i in range(n) for j in range(i + 1, n)]
         self.smooth = all(self._unchanged(_flip(*pair)) for pair in flips)
         self.even = all(self._unchanged(_flip(i)) for i in range(n))
+        self._compiled: tuple[Any, Any] | None = None
+        self._by_parameter: dict[int, StretchFunction] = {}
+
+    def by_parameter(self, k: int) -> StretchFunction:
+        """The function d psi_hat / d p_k of the same singular values and parameters."""
+        if k not in self._by_parameter:
+            other = copy(self)
+            along = [ufl.as_ufl(i == self.n + k) for i in range(self.n + len(self.parameters))]
+            other._psi = expand_derivatives(rate(self._psi, self._constants, ufl.as_vector(along)))
+            other._derive()
+            self._by_parameter[k] = other
+        return self._by_parameter[k]
 
     def __call__(self, s: NDArray[np.float64], parameters: NDArray | None = None) -> float:
         """Value, for the sampled parameters by default; NaN where it is not a real number."""

@@ -21,11 +21,9 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
-from ufl.algorithms.analysis import extract_constants
 
 from ..compilation import compiled
-from ..differentiation import dependents, expanded
-from ..operators.jets import Jet
+from ..differentiation import rate
 from ..problems import Problem
 from .tangents import Tangent
 
@@ -61,8 +59,7 @@ class Border:
         singular: Whether the last system could not be solved.
 
     Raises:
-        ValueError: a q is not in the potential, or stands inside the operand of an energy in
-            singular values.
+        ValueError: a q is not in the potential.
     """
 
     def __init__(self, problem: Problem, q: Sequence[fem.Constant], tangent: Tangent) -> None:
@@ -287,22 +284,5 @@ def scalar(q: Any, asked: str) -> fem.Constant:
 
 
 def by_constant(form: ufl.Form, q: fem.Constant) -> ufl.Form:
-    """Derivative of a form with respect to a scalar Constant; empty where it does not depend on it.
-
-    Raises:
-        ValueError: q stands inside the operand of an energy in singular values.
-    """
-    form = expand_derivatives(expanded(form))
-    if any(q in extract_constants(c.jets.packed) for c in dependents(form) if isinstance(c, Jet)):
-        raise ValueError(
-            "q stands inside the operand of an energy in singular values, whose derivative by it "
-            "is not available: let q be a load or a pressure."
-        )
-    variable = ufl.variable(q)
-    integrals = []
-    for integral in form.integrals():
-        seen = ufl.replace(integral.integrand(), {q: variable})
-        slope = expand_derivatives(ufl.diff(seen, variable))
-        if not isinstance(slope, ufl.classes.Zero):
-            integrals.append(integral.reconstruct(integrand=slope))
-    return ufl.Form(integrals)
+    """Derivative of a form with respect to a scalar Constant; empty where it has no part in it."""
+    return expand_derivatives(rate(form, q, ufl.as_ufl(1)))

@@ -102,6 +102,19 @@ def newton_for(
     return newton
 
 
+def solver_of(problem: Problem) -> tuple[Newton, bool]:
+    """The solver that the last solve has left, and whether it is kept. Collective.
+
+    Of a problem without one a new one, that is kept; in the midst of a path, as in ``record``, one
+    of its own, which is the caller's to destroy.
+    """
+    if problem in _in_use:
+        return Newton(problem), False
+    if problem.solver is None:
+        release(newton_for(problem, None, "variform_", 1e-8, 1e-6, "auto", None), sound=True)
+    return problem.solver[1], True
+
+
 def release(newton: Newton, sound: bool) -> None:
     """End the use of a solver: kept by its problem if the last solve ended well. Collective."""
     problem = newton.problem

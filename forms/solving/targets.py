@@ -87,7 +87,7 @@ def control(
     problem = problem_for(potential, u, supports, virtual_work)
     archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of control")
     newton = newton_for(problem, options, prefix, rtol, ctol, "never", settings, factorized=True)
-    path = Path(problem.u, problem, begin=float(q.value))
+    path = Path(problem.u, problem, begin=float(q.value), held=(q, functional))
     try:
         border = Border(problem, [q], newton.tangent)
         along = Targets(path, newton, border, functional, targets)

@@ -133,6 +133,29 @@ class Kept:
         exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
         self.slow = self._small and not self.stale and (each > self._settings.slow or exhausted)
 
+    def solve_to(self, rtol: float, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Solve for a right-hand side to a tolerance, by what is kept; whether it was reached.
+
+        Neither counts nor changes anything of what is kept. Collective.
+        """
+        ksp = self._ksp
+        ksp.getPC().setReusePreconditioner(self.stale)
+        ksp.setTolerances(rtol=rtol, max_it=max(self._most, 500))
+        kind = ksp.getNormType()
+        ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._probing = True
+        try:
+            if not self.stale:
+                with _faster_products(ksp, self._problem):
+                    ksp.setUp()
+            ksp.solve(b, x)
+        except PETSc.Error:
+            return False
+        finally:
+            self._probing = False
+            ksp.setNormType(kind)
+        return bool(ksp.getConvergedReason() > 0)
+
     def sees_negative_curvature(self) -> bool:
         """Whether CG for a right-hand side without symmetry meets negative curvature. Collective.
 
