@@ -168,7 +168,8 @@ print({reach: round(float(peak), 3) for reach, peak in peaks.items()})
 assert peaks[1.0] < peaks[0.125] and abs(peaks[0.125] - 1) < 0.02
 
 # %% [markdown]
-# The wide barrier carries where there should be no contact yet, and less in the middle.
+# The wide barrier carries where there should be no contact yet, and less in the middle. Below zero
+# beside the edge is the drawing's fault: nodal forces, which push only, as a function of degree 1.
 #
 # **Question.** By what falls the error of the half-width as `dhat` is halved? And where does that
 # end?
@@ -364,7 +365,7 @@ plt.show()
 inner = itself.surface.places()
 print(f"inner face {np.ptp(inner[:, 1]):.3f} high, {np.ptp(inner[:, 0]):.2f} wide,", end=" ")
 print(f"smallest J {min(step.bounds.lower for step in path.steps):.2f}")
-assert path.completed and itself.certified() and np.ptp(inner[:, 1]) < 0.1
+assert path.completed and itself.certified() and itself.near() and np.ptp(inner[:, 1]) < 0.1
 assert all(step.bounds.lower > 0 and step.clearance.distance > 0 for step in path.steps)
 
 # %% [markdown]
