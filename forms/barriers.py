@@ -174,8 +174,12 @@ def _free(
         kept: Part of its distance that no point loses.
 
     Returns:
-        Fraction, and the number of the point that sets it, -1 for none.
+        Fraction, and the number of the point that sets it, -1 for none. A way that is not finite,
+        as a singular tangent gives one, is not gone at all.
     """
+    lost = np.flatnonzero(~np.isfinite(dx).all(axis=1))
+    if len(lost):
+        return 0.0, int(lost[0])
     moving = {c: (value, moves[c]) for c, value in start.items() if moves.get(c)}
     least = kept * bounds(x, x, {c: (v, v) for c, (v, _) in moving.items()})[0]
     done, part = np.zeros(len(x)), np.ones(len(x))

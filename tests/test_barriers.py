@@ -141,3 +141,10 @@ def test_supports_beyond_an_obstacle_are_named():
     with pytest.raises(forms.NotConverged, match="pin|obstacle"):
         forms.follow(psi * ufl.dx + wall, u, [held], t, step=1.0, progress=False)
     assert 0 < forms.contact.clearance(forms.Problem(psi * ufl.dx + wall, u)).distance < 0.05
+
+
+def test_a_way_that_is_not_finite_is_not_gone():
+    """A singular tangent's direction: nothing of it is allowed, and nothing warns."""
+    problem, _, _ = scene(obstacles.plane((0, 0), (0, 1)), gap=0.2)
+    for value in (np.inf, -np.inf, np.nan):
+        assert largest(problem, value) == 0

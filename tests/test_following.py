@@ -166,7 +166,7 @@ def test_a_square_that_loses_its_symmetry_says_so():
     assert path.load == pytest.approx(LIMIT, rel=1e-3) and path.load < LIMIT
     assert path.events[0].load == pytest.approx(BREAKS, abs=80e-6)
     assert path.events[0].before == 0 and path.events[0].kind == "bifurcation"
-    assert "with forms.arc_length, or with jump=True" in path.reason
+    assert "with forms.arc_length, or to the next state at rest" in path.reason
     corner = forms.at(u, (1, 1))
     assert corner[0] == pytest.approx(corner[1], rel=1e-10)
 

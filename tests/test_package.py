@@ -110,7 +110,7 @@ def test_every_import_is_declared():
     project = PROJECT["project"]
     extras = [name for names in project["optional-dependencies"].values() for name in names]
     declared = {re.match(r"[\w-]+", name)[0] for name in project["dependencies"] + extras}
-    declared = {name.removeprefix("fenics-") for name in declared}
+    declared = {name.removeprefix("fenics-").replace("pillow", "PIL") for name in declared}
     # Parts of DOLFINx's own dependencies, and of Python's library.
     declared |= {"basix", "ffcx", *sys.stdlib_module_names}
     found = {}

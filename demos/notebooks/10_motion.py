@@ -206,8 +206,17 @@ plt.show()
 # <details><summary>Solution</summary>
 #
 # With $u - u_n = \Delta t\,(v + v_n)/2$ and $\rho\,(v - v_n) = -\Delta t\,k\,(u + u_n)/2$, multiply
-# the second by $v + v_n$: $\rho\,(v^2 - v_n^2) = -k\,(u + u_n)(u - u_n)$.
+# the second by $v + v_n$: $\rho\,(v^2 - v_n^2) = -k\,(u + u_n)(u - u_n)$. A hundred steps of it,
+# with $k = \rho = 1$:
 #
+# ```python
+# dt = 0.4
+# A, B = np.array([[1, -dt / 2], [dt / 2, 1]]), np.array([[1, dt / 2], [-dt / 2, 1]])
+# state = np.array([1.0, 0.0])  # u and v
+# for _ in range(100):
+#     state = np.linalg.solve(A, B @ state)
+# assert abs(state @ state - 1) < 1e-12 and abs(state[0] - 1) > 0.1
+# ```
 # </details>
 
 # %% [markdown]
