@@ -7,27 +7,23 @@ Constants for the scheme's numbers, so that nothing is compiled or set up again 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from numpy.typing import NDArray
-from ufl.algorithms import expand_derivatives
 
 from . import _checks, _dolfinx
-from ._types import Expr
-from .compilation import compiled
 from .dissipation import Dissipation
+from .increment import Increment
 from .inertia import Inertia, given
 from .kinematics import circumference, is_revolved
 from .native import jit
 from .prescribed import PrescribedMotion
 from .problems import Problem
-from .quadrature import with_quadrature
-from .schemes import Scheme, Strain, Weights
+from .schemes import Scheme, Weights
 from .supports import Support
 from .unknowns import displacement_field
 from .variation import residual
@@ -69,6 +65,7 @@ class Motion:
             rule, shape (6,); else 0.
         stage: What the step in question minimizes.
         lags: Whether a dissipation lags.
+        without_inertia, dissipated_power: Those of :class:`forms.increment.Increment`.
         dt, begun: Length of the step in question, and the time it begins at [s].
     """
 
@@ -93,37 +90,29 @@ class Motion:
         V, mesh = u.function_space, u.function_space.mesh
         self.velocity, self.acceleration = fem.Function(V, name="velocity"), fem.Function(V)
         self.acceleration.name = "acceleration"
-        self._last, self._before, self._start, self._drift, self._lag = (
-            fem.Function(V) for _ in range(5)
-        )
         self._velocity_before = np.zeros_like(u.x.array)
-        self._c, self._b, self._inverse, self._strain_inverse = (
-            _constant(mesh, 0.0) for _ in range(4)
-        )
-        self._strain = [_constant(mesh) for _ in range(5)]
         given_: Any = dissipation
         listed = tuple(given_) if isinstance(given_, list | tuple) else (given_,)
         parts = list(potential) if isinstance(potential, list | tuple) else [potential]
         self._check(parts, listed, rho)
         weight = given(mesh, thickness, "a thickness")
         self._revolved = any(is_revolved(p) for p in parts if isinstance(p, ufl.Form))
-        self._round = circumference(field.expression) if self._revolved else ufl.as_ufl(1.0)
-        self._weight = weight * self._round
+        around = circumference(field.expression) if self._revolved else ufl.as_ufl(1.0)
         dx = _checks.measure(ufl.dx if dx is None else dx, "a mass")
-        self.inertia = Inertia(u, field, rho, self._weight, dx, lumped)
+        self.inertia = Inertia(u, field, rho, weight * around, dx, lumped)
         self._part, self._nodes = self.inertia.part, self.inertia.nodes
-        self.lags = any(each.lags for each in listed)
-        found = [self._dissipated(each, self._density(each)) for each in listed]
-        rates = [parts_ for parts_ in found if parts_ is not None]
+        what = u, field, self.velocity, self.inertia, scheme
+        added = Increment(*what, listed, weight * around, around)
+        self.lags = added.lags
+        self._last, self._before, self._lag = added.last, added.before, added.lag
+        self._start, self._drift, self._assign = added.start, added.drift, added.assign
+        self.without_inertia, self.dissipated_power = added.without_inertia, added.dissipated_power
+        own = added.forms
         arguments = [p for p in parts if isinstance(p, ufl.Form) and p.arguments()]
-        own = [self.inertia.form(field.expression - self._part(self._start), self._c)]
-        own += [form for form, _ in rates]
-        own = [with_quadrature(form, field.degree) for form in own]
         if arguments:  # a residual has no energy for them to be added to
             own = [residual(form, u) for form in own]
         self.problem = Problem([*parts, *own], u, supports, virtual_work)
         self.problem.motion = self
-        self._powers = [compiled(with_quadrature(power, field.degree)) for _, power in rates]
         self.held = PrescribedMotion(self.problem, t)
         self._vector = self.problem.create_vector()
         self.given, self.stage = self.held.at(float(t.value)), scheme.stage(1.0, 0.0)
@@ -146,46 +135,6 @@ class Motion:
         number = _checks.number(rho)
         if number is not None and not 0 < number < np.inf:
             raise ValueError(f"a motion needs a mass density rho > 0 [kg/m^3], got {number:g}.")
-
-    def _density(self, each: Dissipation) -> Callable[[Expr], ufl.Form]:
-        """How the density of a dissipation is integrated."""
-        if each.dx is not None:
-            thick = each.dx.integral_type() == "cell" and not each.per_area
-            return lambda f: f * (self._weight if thick else self._round) * each.dx
-        rho = self.inertia.rho if each.per_mass else 1.0
-        return lambda f: rho * f * self._weight * self.inertia.dx
-
-    def _dissipated(self, each: Dissipation, density: Any) -> tuple[ufl.Form, ufl.Form] | None:
-        """Potential of a dissipation over a step, and the power it takes; None of a zero one."""
-        x = self._field.expression
-        if each.of is None:
-            rate, inverse = self._b * x + self._part(self._drift), self._inverse
-        else:
-            rate, inverse = self._strain_rate(each.of), self._strain_inverse
-        variable = ufl.variable(rate)
-        at = (self._part(self._lag),) if each.lags else ()
-        phi = each.phi(variable, *at)
-        if getattr(phi, "ufl_shape", None) != ():
-            raise ValueError(
-                f"a dissipation's phi is a scalar of the rate, got {type(phi).__name__} of shape "
-                f"{getattr(phi, 'ufl_shape', ())}."
-            )
-        power = ufl.inner(ufl.diff(phi, variable), variable)
-        if isinstance(phi, ufl.classes.Zero) or isinstance(power, ufl.classes.Zero):
-            return None
-        return density(inverse * phi), density(power)
-
-    def _strain_rate(self, of: Any) -> Expr:
-        b0, b1, b2, g, k = self._strain
-        last = of(self._part(self._last))
-        first = expand_derivatives(ufl.derivative(last, self._last, self.velocity))
-        rate = b0 * of(self._field.expression) + b1 * last + g * first
-        if self.scheme.two_step:
-            rate += b2 * of(self._part(self._before))
-        if self.scheme.middle:
-            second = ufl.derivative(first, self._last, self.velocity)
-            rate += k * expand_derivatives(second)
-        return rate
 
     # ---- the state
 
@@ -281,13 +230,6 @@ class Motion:
         arrays = [f.x.array for f in known] + [self._velocity_before]
         return sum(w * x for w, x in zip(weights, arrays, strict=True) if w)  # type: ignore
 
-    def _assign(self, c: float, b: float, strain: Strain) -> None:
-        """Give the potential its numbers."""
-        self._c.value, self._b.value, self._inverse.value = c, b, 1 / b
-        self._strain_inverse.value = 1 / strain[0]
-        for constant, number in zip(self._strain, strain, strict=True):
-            constant.value = number
-
     def found(self) -> State:
         """The motion that a step's solution means; nothing is taken yet. Local."""
         stage, held, others = self.stage, self.problem.constrained, self.inertia.others
@@ -354,33 +296,11 @@ class Motion:
         self.t.value = self.begun
         self.problem.rollback()
 
-    @contextmanager
-    def without_inertia(self, viscous: bool = False) -> Iterator[None]:
-        """The problem with its potential alone, as in statics, within a block.
-
-        Args:
-            viscous: Whether dissipation stays.
-        """
-        constants = [self._c] + ([] if viscous else [self._inverse, self._strain_inverse])
-        kept = [float(constant.value) for constant in constants]
-        for constant in constants:
-            constant.value = 0.0
-        try:
-            yield
-        finally:
-            for constant, value in zip(constants, kept, strict=True):
-                constant.value = value
-
     # ---- what is measured
 
     def records(self, momentum: Array) -> dict[str, Any]:
         """Kinetic energy and momenta of the last accepted state, whose M v is given. Collective."""
         return self.inertia.momenta(self.velocity.x.array, momentum, not self._revolved)
-
-    def dissipated_power(self) -> float:
-        """phi'(rate) : rate at the present state [W]. Collective."""
-        own = sum(fem.assemble_scalar(power) for power in self._powers)
-        return float(self.problem.comm.allreduce(own)) if self._powers else 0.0
 
     def error(self, state: State) -> tuple[float, float]:
         """Largest local error of a displacement in the step, and what it is compared with [m].
@@ -434,7 +354,3 @@ class Motion:
         """Free the vectors. Collective."""
         self._vector.destroy()
         self.held.destroy()
-
-
-def _constant(mesh: Any, value: float = 1.0) -> fem.Constant:
-    return fem.Constant(mesh, default_scalar_type(value))

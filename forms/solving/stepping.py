@@ -135,7 +135,8 @@ def advance(
             control.resume(saved)
             start -= path.seconds
             bar.update(control.done)
-            _say(bar, path, f"Resumed at load factor {control.load:.6g} from {archive.folder}.")
+            where = "t =" if control.word == "motion" else "load factor"
+            _say(bar, path, f"Resumed at {where} {control.load:.6g} from {archive.folder}.")
         while not control.ended:
             outcome = control.propose()
             refused = path.refused
