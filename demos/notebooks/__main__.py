@@ -159,6 +159,9 @@ def main():
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     # A debugger's remark about frozen modules, which the kernel prints at its start.
     os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
+    # A kernel that is told to end may write to a socket that is closed: PETSc would report a crash.
+    given = (os.environ.get("PETSC_OPTIONS"), "-no_signal_handler")
+    os.environ["PETSC_OPTIONS"] = " ".join(filter(None, given))
     failed = False
     for source in sources:
         start = time.perf_counter()
