@@ -78,8 +78,8 @@ def closed(height, radius):
     down, across = height - radius, first * L
     far = np.hypot(across, down)
     a = np.arcsin(radius / far) + np.arctan2(down, across)  # of the tangent from the edge
-    l = (np.sqrt(far**2 - radius**2) + radius * a) / L  # noqa: E741
-    return a, l, 2 * mu * (l - l**-3) * np.sin(a) * width
+    drawn = (np.sqrt(far**2 - radius**2) + radius * a) / L
+    return a, drawn, 2 * mu * (drawn - drawn**-3) * np.sin(a) * width
 
 
 loads = np.array([step.load for step in path.steps])

@@ -13,12 +13,10 @@ from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
-import basix
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _dolfinx
-from .boundaries import entities
+from .boundaries import points_on
 from .obstacles import Obstacle, obstacles_in
 
 Array = NDArray[np.float64]
@@ -60,29 +58,9 @@ class Barrier:
     def __init__(self, label: Obstacle, integral: Any) -> None:
         self.label, self._bounds = label, label.bounds
         u, field = label.unknown, label.field
-        mesh, self._u = u.function_space.mesh, u
-        dim = mesh.geometry.dim
-        where = entities(mesh, label.measure)
+        self._u, dim = u, u.function_space.mesh.geometry.dim
         points = np.array(integral.metadata()["quadrature_points"], float)
-        cells, charts = where[:, 0], _charts(mesh, points, where.shape[1] == 2)
-        whole = field.space.ufl_element()
-        element = whole if field.place is None else whole.sub_elements[field.place]
-        scalar = element.sub_elements[0]
-        numbers = field.view.dofmap.list[cells]
-        numbers = dim * numbers if field.place is None else numbers[:, ::dim]
-        geometry = _dolfinx.geometry_dofmap(mesh)[cells]
-        chart = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-        sides = where[:, 1] if where.shape[1] == 2 else np.zeros(len(where), np.int32)
-        X, N, dofs = [], [], []
-        for side, at in enumerate(charts):
-            mine = sides == side
-            N_side = scalar.tabulate(0, at)[0]
-            kept = np.flatnonzero(np.abs(N_side).max(axis=0) > 1e-12)
-            shape = chart.tabulate(0, at)[0]
-            X.append(np.einsum("pa,fai->fpi", shape, mesh.geometry.x[geometry[mine], :dim]))
-            N.append(N_side[:, kept])
-            dofs.append(numbers[mine][:, kept, None] + np.arange(dim))
-        self._parts = list(zip(X, N, dofs, strict=True))
+        self._parts = points_on(u, field, label.measure, points)
         self._dim = dim
         self._last: tuple[Array, dict[Any, float]] = (np.empty((0, dim)), {})
         self.remember()
@@ -140,19 +118,6 @@ def _place(x: tuple[float, ...]) -> str:
 
 def _moved(N: Array, u: Array, dofs: NDArray[np.int32]) -> Array:
     return np.einsum("pk,fki->fpi", N, u[dofs])
-
-
-def _charts(mesh: Any, points: Array, on_facets: bool) -> list[Array]:
-    """Points of a rule in the reference cell, on each of its facets."""
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
-    if not on_facets:
-        return [points]
-    x, facets = basix.geometry(cell), basix.topology(cell)[-2]
-    charts = []
-    for facet in facets:
-        axes = x[facet[1 : 1 + points.shape[1]]] - x[facet[0]]
-        charts.append(x[facet[0]] + points @ axes)
-    return charts
 
 
 def _free(

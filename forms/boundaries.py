@@ -66,6 +66,55 @@ def facet_type(mesh: Any, ds: ufl.Measure) -> basix.CellType:
     return kinds.pop()
 
 
+def points_on(
+    u: fem.Function, field: Any, measure: Any, points: Array
+) -> list[tuple[Array, Array, Array]]:
+    """Points of a boundary's facets, kind of local facet by kind; local.
+
+    Args:
+        u: Unknown.
+        field: Its displacement.
+        measure: Where the facets are.
+        points: On a reference facet, shape (p, facet's dimension).
+
+    Returns:
+        Reference positions, shape (facets, p, dim); values of the k functions that are not zero on
+        the facet, (p, k); local numbers of their degrees of freedom, (facets, k, dim).
+    """
+    mesh, dim = u.function_space.mesh, u.function_space.mesh.geometry.dim
+    where = entities(mesh, measure)
+    cells, charts = where[:, 0], _charts(mesh, points, where.shape[1] == 2)
+    whole = field.space.ufl_element()
+    element = whole if field.place is None else whole.sub_elements[field.place]
+    scalar = element.sub_elements[0]
+    numbers = field.view.dofmap.list[cells]
+    numbers = dim * numbers if field.place is None else numbers[:, ::dim]
+    geometry = _dolfinx.geometry_dofmap(mesh)[cells]
+    chart = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+    sides = where[:, 1] if where.shape[1] == 2 else np.zeros(len(where), np.int32)
+    found = []
+    for side, at in enumerate(charts):
+        mine = sides == side
+        N, shape = scalar.tabulate(0, at)[0], chart.tabulate(0, at)[0]
+        kept = np.flatnonzero(np.abs(N).max(axis=0) > 1e-12)
+        X = np.einsum("pa,fai->fpi", shape, mesh.geometry.x[geometry[mine], :dim])
+        found.append((X, N[:, kept], numbers[mine][:, kept, None] + np.arange(dim)))
+    return found
+
+
+def _charts(mesh: Any, points: Array, on_facets: bool) -> list[Array]:
+    """Points of a rule in the reference cell, on each of its facets."""
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    if not on_facets:
+        return [points]
+    x, facets = basix.geometry(cell), basix.topology(cell)[-2]
+    charts = []
+    for facet in facets:
+        axes = x[facet[1 : 1 + points.shape[1]]] - x[facet[0]]
+        charts.append(x[facet[0]] + points @ axes)
+    return charts
+
+
 def rule(cell: basix.CellType, parts: int) -> tuple[Array, Array]:
     """Points and weights on a reference facet: at all nodes of degree 1 and 2, of degree 3.
 

@@ -228,10 +228,14 @@ class Motion:
     def _sum(self, weights: Weights) -> Array:
         known = (self._last, self.velocity, self.acceleration, self._before)
         arrays = [f.x.array for f in known] + [self._velocity_before]
-        return sum(w * x for w, x in zip(weights, arrays, strict=True) if w)  # type: ignore
+        total = np.zeros_like(self._velocity_before)
+        for weight, values in zip(weights, arrays, strict=True):
+            if weight:
+                total += weight * values
+        return total
 
     def found(self) -> State:
-        """The motion that a step's solution means; nothing is taken yet. Local."""
+        """The motion that a step's solution means; nothing is taken yet. Collective."""
         stage, held, others = self.stage, self.problem.constrained, self.inertia.others
         s = self.u.x.array.copy()
         a = stage.inertia * (s - self._start.x.array)
@@ -287,7 +291,7 @@ class Motion:
 
     @property
     def last(self) -> Array:
-        """U at the last accepted time, with ghosts."""
+        """Displacement at the last accepted time, with ghosts."""
         return np.asarray(self._last.x.array)
 
     def back(self) -> None:

@@ -363,12 +363,14 @@ def _from(point: Any, x: Expr) -> Expr:
 
 def _direction(v: Any) -> Any:
     """A direction made a unit vector, of numbers in numbers."""
-    numbers = [_checks.number(one) for one in v] if isinstance(v, list | tuple | np.ndarray) else []
-    if numbers and None not in numbers:
-        length = float(np.linalg.norm(np.array(numbers, float)))
+    listed = isinstance(v, list | tuple | np.ndarray)
+    found = [_checks.number(one) for one in v] if listed else []
+    numbers = [one for one in found if one is not None]
+    if numbers and len(numbers) == len(found):
+        length = float(np.linalg.norm(numbers))
         if not 0 < length < np.inf:
             raise ValueError(f"a direction of an obstacle has a length above 0, got {tuple(v)}.")
-        return tuple(one / length for one in numbers)  # type: ignore[operator]
+        return tuple(one / length for one in numbers)
     expr = ufl.as_vector(list(v)) if isinstance(v, list | tuple) else v
     return expr / _length(expr)
 

@@ -302,6 +302,9 @@ class Problem:
         if self.solver is not None:
             self.solver[1].destroy()
             self.solver = None
+        if self._uncoupled is not None:
+            self._uncoupled.destroy()
+            self._uncoupled = None
 
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""

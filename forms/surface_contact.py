@@ -25,7 +25,6 @@ from .unknowns import field_of
 
 FINE = 0.1  # of the smallest facet: default reach of the barrier
 KEPT = 0.9  # of the way to a collision that a step may go
-STIFF = 0.2  # of the body's own stiffness, as of obstacles
 
 
 class Touching:
@@ -116,9 +115,12 @@ class Touching:
         bad = bool(ipc.has_intersections(self._mesh, x)) or not least > self.thickness
         if not self._comm.bcast(bad, root=0):
             return ""
-        near = [pairs[k] for k in range(min(len(pairs), 1))]
-        ids = [i for pair in near for i in pair.vertex_ids(self._mesh.edges, self._mesh.faces)]
-        at = x[[i for i in ids if i >= 0]].mean(axis=0) if ids else x.mean(axis=0)
+        pieces = self._mesh.edges, self._mesh.faces
+        near = sorted(
+            (pairs[k].compute_distance(x, *pieces), k) for k in range(len(pairs))
+        )  # where they cross they are nearest
+        ids = pairs[near[0][1]].vertex_ids(*pieces) if near else range(len(x))
+        at = x[[i for i in ids if i >= 0]].mean(axis=0)
         at = self._comm.bcast(at, root=0)
         return f"({', '.join(f'{c:.4g}' for c in at)})"
 

@@ -16,10 +16,8 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from . import _dolfinx
 from ._parallel import bounding_box
-from .barriers import _charts
-from .boundaries import entities, facet_type
+from .boundaries import facet_type, points_on
 from .unknowns import Field
 
 Array = NDArray[Any]
@@ -79,31 +77,16 @@ class Surface:
     def _facets(self, field: Field, measure: ufl.Measure, parts: int) -> tuple[Array, ...]:
         """This rank's points, their weights and global degrees of freedom, and pieces; local."""
         V = self._u.function_space
-        mesh, dim = V.mesh, V.mesh.geometry.dim
-        where = entities(mesh, measure)
-        lattice, pieces = _lattice(facet_type(mesh, measure), parts)
-        charts = _charts(mesh, lattice, where.shape[1] == 2)
-        whole = field.space.ufl_element()
-        element = whole if field.place is None else whole.sub_elements[field.place]
-        scalar = element.sub_elements[0]
-        numbers = field.view.dofmap.list[where[:, 0]]
-        numbers = dim * numbers if field.place is None else numbers[:, ::dim]
-        geometry = _dolfinx.geometry_dofmap(mesh)[where[:, 0]]
-        chart = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-        sides = where[:, 1] if where.shape[1] == 2 else np.zeros(len(where), np.int32)
+        lattice, pieces = _lattice(facet_type(V.mesh, measure), parts)
         X, weights, dofs = [], [], []
-        for side, at in enumerate(charts):
-            mine = sides == side
-            N = scalar.tabulate(0, at)[0]
-            kept = np.flatnonzero(np.abs(N).max(axis=0) > 1e-12)
-            shape = chart.tabulate(0, at)[0]
-            x = np.einsum("pa,fai->fpi", shape, mesh.geometry.x[geometry[mine], :dim])
-            X.append(x.reshape(-1, dim))
-            local = numbers[mine][:, kept, None] + np.arange(dim)
-            dofs.append(np.repeat(_global(V, local), len(at), axis=0))
-            weights.append(np.tile(N[:, kept], (int(mine.sum()), 1)))
-        count = np.arange(len(where))[:, None, None] * len(lattice)
-        cells = (count + pieces).reshape(-1, pieces.shape[1])
+        for x, N, local in points_on(self._u, field, measure, lattice):
+            X.append(x.reshape(-1, x.shape[-1]))
+            dofs.append(np.repeat(_global(V, local), len(lattice), axis=0))
+            weights.append(np.tile(N, (len(x), 1)))
+        count = sum(len(x) for x in X) // len(lattice)
+        cells = (np.arange(count)[:, None, None] * len(lattice) + pieces).reshape(
+            -1, pieces.shape[1]
+        )
         return np.concatenate(X), np.concatenate(weights), np.concatenate(dofs), cells
 
     def _own(self) -> None:

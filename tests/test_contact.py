@@ -268,8 +268,8 @@ def test_a_balloon_in_a_box():
         record=record,
         progress=False,
     )
-    l = 1.2  # noqa: E741
-    assert path.steps[0].load == pytest.approx(2 * (1 / l - l**-7), rel=1e-3)
+    stretch = 1.2
+    assert path.steps[0].load == pytest.approx(2 * (1 / stretch - stretch**-7), rel=1e-3)
     assert not np.any(path.record("box")[0])
     last = path.record("box")[-1]
     assert last == pytest.approx(last.mean(), rel=5e-3)  # the same on three walls, on one mesh

@@ -69,7 +69,10 @@ def test_bending_modes_of_a_beam():
 def test_a_stretched_string():
     """omega_n = n pi/L sqrt(P / (stretch rho)) and its bending, ends that may turn, 1e-3."""
     mu, stretch, height = 1.0, 1.5, 0.02
-    psi = lambda F: forms.energies.neo_hookean(F, mu, 0.0)  # noqa: E731
+
+    def psi(F):
+        return forms.energies.neo_hookean(F, mu, 0.0)
+
     body, u, potential = strip(1.0, height, 60, energy=psi)
     nominal = mu * (stretch - 1 / stretch)  # with lmbda = 0 nothing narrows
     for side, sign in (("left", -1), ("right", 1)):

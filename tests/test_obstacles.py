@@ -153,7 +153,10 @@ def test_derivatives(degree, own, rng):
     square = None
     if own:
         c = ufl.as_vector((0.4, 0.5, 1.53))
-        square = lambda x: ufl.dot(x - c, x - c) - 0.25  # noqa: E731
+
+        def square(x):
+            return ufl.dot(x - c, x - c) - 0.25
+
     u, _, barrier = scene(degree, square)
     R = forms.residual(barrier, u)
     E, r, K = forms.compiled(barrier), forms.compiled(R), forms.compiled(forms.tangent(R, u))
@@ -180,7 +183,10 @@ def test_distances_need_no_gradients_of_length_one(rng):
     """7 phi is phi; |x|^2 - R^2 counts as (r^2 - R^2) / (2 r), d up to d^2 / (2 r)."""
     c = np.array((0.4, 0.5, 1.53))
     ball = obstacles.sphere(c, 0.5)
-    square = lambda x: ufl.dot(x - ufl.as_vector(c), x - ufl.as_vector(c)) - 0.25  # noqa: E731
+
+    def square(x):
+        return ufl.dot(x - ufl.as_vector(c), x - ufl.as_vector(c)) - 0.25
+
     energies = [
         forms.integral(scene(distance=phi)[2]) for phi in (ball, lambda x: 7 * ball(x), square)
     ]

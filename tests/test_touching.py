@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Contact of deformable surfaces: derivatives, stacked blocks, a crushed ring, ranks, bad input."""
 
+import re
 from itertools import combinations
 
 from mpi4py import MPI
@@ -250,6 +251,8 @@ def test_bad_input_of_surfaces():
         forms.touching(u, body.facets("side 0"), stiffness=1.0)
     term = forms.touching(u, faces, stiffness=1.0)
     held = [forms.clamp(u, body.facets("low end")), forms.clamp(u, body.facets("up end"))]
-    with pytest.raises(ValueError, match=r"surfaces cross or touch at the start, at \("):
+    with pytest.raises(ValueError, match=r"surfaces cross or touch at the start, at \(") as caught:
         forms.solve([psi, term], u, held)
+    place = re.search(r"\((\S+), (\S+)\)", str(caught.value))
+    assert abs(float(place[2]) - 0.975) < 0.1  # where they do, and not somewhere
     assert t is not None

@@ -146,6 +146,11 @@ def test_an_arch_settles_beyond_its_limit_point():
     assert forms.negative_eigenvalues(path) == path.steps[-1].convergence.negative == 0
     assert forms.at(u, (50.0, 5.0))[1] < before - 4
     assert path.problem.motion is None and not path.velocity.x.array.any()
+    with pytest.raises(ValueError, match="settle needs time > 0, got -1"):
+        forms.settle(psi, u, held, time=-1)
+    u.x.array[:] = 0
+    with pytest.raises(forms.NotConverged, match=r"still moves at t = 1: give it more time="):
+        forms.settle(psi, u, held, time=1.0, progress=False)
 
 
 MOVE = """

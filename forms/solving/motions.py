@@ -121,7 +121,9 @@ def transient(
     stops = times_to(float(t.value), to)
     way = stops[-1] - float(t.value)
     settings = settings or Settings()
-    _check_positive(dt=dt, step=step, min_step=min_step, max_step=max_step, tolerance=tolerance)
+    check_positive(
+        "a motion", dt=dt, step=step, min_step=min_step, max_step=max_step, tolerance=tolerance
+    )
     check_record(record)
     found = scheme_of(scheme)
     motion = motion_of(
@@ -203,7 +205,8 @@ def times_to(begin: float, to: float | Sequence[float]) -> list[float]:
     return stops
 
 
-def _check_positive(**lengths: float | None) -> None:
+def check_positive(who: str, **lengths: float | None) -> None:
+    """Refuse lengths of time, and tolerances, that are not positive and finite."""
     for name, value in lengths.items():
         if value is not None and not 0 < value < np.inf:
-            raise ValueError(f"a motion needs {name} > 0, got {value}.")
+            raise ValueError(f"{who} needs {name} > 0, got {value}.")

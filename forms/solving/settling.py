@@ -10,23 +10,25 @@ from typing import Any
 import numpy as np
 from dolfinx import default_scalar_type, fem
 
+from .._parallel import bounding_box
 from ..dissipation import Dissipation
 from ..ledger import Row
 from ..motion import Motion
-from ..paths import NotConverged, Path, Step, check_record, recorded
+from ..paths import Path, Step, check_record, recorded
 from ..problems import Problem
 from ..schemes import Euler
 from ..supports import Support
-from .certificates import certified_volume
+from .certificates import certified_clearance, certified_volume
 from .controls.load import attempt
 from .controls.time import ROUGH, TimeSteps
-from .motions import LEAST, motion_of
+from .motions import LEAST, check_positive, motion_of
 from .newton import Newton
 from .pace import Pace
 from .reuse import newton_for, problem_for, release
 from .settings import Settings
 from .stability import negative_eigenvalues
 from .stepping import advance
+from .supported import failure
 
 CALM = 1e-6  # of the largest kinetic energy, that a body at rest has at most
 SLOW = 1e-3  # of the largest inertia, that a body at rest has at most
@@ -86,6 +88,7 @@ def settle(
         ValueError: no potential, or what :func:`forms.transient` refuses.
     """
     check_record(record)
+    check_positive("settle", time=time, tolerance=tolerance)
     problem = problem_for(potential, u, supports, None)
     if not problem.has_energy:
         raise ValueError("a body comes to rest where its potential is least, got no potential.")
@@ -111,7 +114,7 @@ def settle(
         steps.total = None if time is None else 1.0
         advance(steps, record, on_step, None, progress)
         if not _is_at_rest(path):
-            raise _failed(path, f"The body still moves at t = {longest:.6g}: give it more time=.")
+            raise failure(path, f"The body still moves at t = {longest:.6g}: give it more time=.")
     motion.destroy()
     _come_to_rest(path, problem, newton_for(problem, *given), record)
     return path
@@ -121,7 +124,8 @@ def _first_step(motion: Motion, tolerance: float) -> float:
     """Step whose local error is the tolerance of a rough scale; 0 at an equilibrium. Collective."""
     motion.begin()
     mesh = motion.u.function_space.mesh
-    size = float(np.linalg.norm(np.ptp(np.vstack(mesh.comm.allgather(mesh.geometry.x)), axis=0)))
+    low, high = bounding_box(mesh.comm, mesh.geometry.x)
+    size = float(np.linalg.norm(high - low))
     own = float(np.abs(motion.acceleration.x.array).max(initial=0.0))
     largest = max(mesh.comm.allgather(own))
     return float(np.sqrt(2 * tolerance * ROUGH * size / largest)) if largest > 0 else 0.0
@@ -149,7 +153,7 @@ def _come_to_rest(
         problem.rollback()
     release(newton, outcome.converged)
     if not outcome.converged:
-        raise _failed(path, f"{outcome.sentence()}, where the body has come to rest.")
+        raise failure(path, f"{outcome.sentence()}, where the body has come to rest.")
     problem.commit()
     if outcome.negative is None and problem.symmetric:
         outcome = replace(outcome, negative=negative_eigenvalues(problem))
@@ -162,12 +166,6 @@ def _come_to_rest(
     path.problem = problem
     still = {name: 0.0 * np.asarray(value) for name, value in notes.items()}
     found = {**still, **recorded(record, problem)}
-    path.steps.append(Step(time, outcome, found, certified_volume(problem)))
+    bounds, clear = certified_volume(problem), certified_clearance(problem)
+    path.steps.append(Step(time, outcome, found, bounds, clear))
     path.end(f"At rest at t = {time:.6g} in {len(path.steps)} steps")
-
-
-def _failed(path: Path, sentence: str) -> NotConverged:
-    path.reason = sentence
-    error = NotConverged(sentence)
-    error.path = path
-    return error

@@ -15,7 +15,7 @@ from ...ledger import ORDINARY, Balance, verdict
 from ...paths import Convergence, Event, Path
 from ...validity import Bounds
 from ..accounts import Accounts
-from ..certificates import certified_clearance, certified_volume
+from ..certificates import certified_clearance, certified_volume, crossing
 from ..corrector import Corrector
 from ..extrapolation import State, extrapolate
 from ..ladder import Failure
@@ -161,7 +161,8 @@ class Continuation(Branch):
         clear = certified_clearance(self.path.problem)
         if clear is not None and not clear.distance > 0:
             return clear.words()
-        return self._newly_inverted() or self._unbalanced() or self.unlike(outcome)
+        crossed = crossing(self.path.problem)
+        return crossed or self._newly_inverted() or self._unbalanced() or self.unlike(outcome)
 
     def _newly_inverted(self) -> str:
         """Whether a state is inverted where the last one was not, in words, if that is refused."""

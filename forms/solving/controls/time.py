@@ -15,7 +15,7 @@ from ...motion import Motion
 from ...paths import Convergence, Path
 from ...programs import kinks
 from ...validity import Bounds
-from ..certificates import certified_volume
+from ..certificates import certified_volume, crossing
 from ..corrector import Corrector
 from ..ladder import Failure
 from ..motion_accounts import MotionAccounts
@@ -194,6 +194,7 @@ class TimeSteps:
             row, sound = self._accounts.step(found)
         motion.u.x.array[:] = found.u
         crossed = path.problem.crossed() if motion.scheme.middle else ""
+        crossed = crossed or crossing(path.problem)
         self.bounds = certified_volume(path.problem)
         size = self.newton.tangent.scaled.size
         least = ROUGH * size if motion.scheme.order == 1 or motion.scheme.two_step else 0.0
