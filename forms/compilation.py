@@ -60,6 +60,18 @@ def compiled(form: ufl.Form, project: bool = False) -> fem.Form:
     return _Lowering(form, project).form()
 
 
+def pointwise(form: ufl.Form) -> fem.Form:
+    """Kernels of a form that is linear in values at the points of its rule. Collective.
+
+    As :func:`compiled`, but of a test function on a space that has no degrees of freedom of
+    DOLFINx: what is returned holds kernels, entities and coefficients, and is never assembled.
+
+    Args:
+        form: Expanded, with quadrature degrees, its test function on a quadrature element.
+    """
+    return _Lowering(form, project=False, assembled=False).form()
+
+
 def _plain(form: ufl.Form) -> fem.Form:
     """DOLFINx's own form, and the addresses of its kernels."""
     result: Any = jit.form(form)
@@ -131,12 +143,12 @@ class _Operand:
 class _Lowering:
     """One form on its way to DOLFINx."""
 
-    def __init__(self, form: ufl.Form, project: bool) -> None:
+    def __init__(self, form: ufl.Form, project: bool, assembled: bool = True) -> None:
         self.domain = form.ufl_domain()
         self.mesh = _dolfinx.cpp_mesh(self.domain)
         self.comm = self.mesh.comm
         self.project = project and len(form.arguments()) == 2
-        self.arguments = form.arguments()
+        self.arguments, self.assembled = form.arguments(), assembled
         self.subdomains = form.subdomain_data()[self.domain]
         self.rules: dict[tuple[str, int], _Rule] = {}
         self.pure: dict[tuple[str, int], bool] = {}
@@ -284,7 +296,7 @@ class _Lowering:
             )
         form = _dolfinx.custom_form(
             self.mesh,
-            [a.ufl_function_space() for a in self.arguments],
+            [a.ufl_function_space() for a in self.arguments if self.assembled],
             integrals,
             self.real,
             [fem.Constant(self.domain, np.float64(first)), *self._all_constants()],

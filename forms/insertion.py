@@ -57,7 +57,12 @@ def create_matrix(form: fem.Form, conditions: Sequence[fem.DirichletBC] = ()) ->
     return A
 
 
-def assemble(A: PETSc.Mat, form: fem.Form, conditions: Sequence[fem.DirichletBC]) -> None:
+def assemble(
+    A: PETSc.Mat,
+    form: fem.Form,
+    conditions: Sequence[fem.DirichletBC],
+    moduli: Any = None,
+) -> None:
     """Assemble a bilinear form into a matrix, supported rows and columns those of identity.
 
     Collective.
@@ -66,13 +71,14 @@ def assemble(A: PETSc.Mat, form: fem.Form, conditions: Sequence[fem.DirichletBC]
         A: Matrix of :func:`create_matrix` with the same boundary conditions, or any other.
         form: Form on the spaces, and with the integrals, of that which the matrix was made for.
         conditions: Boundary conditions.
+        moduli: The form's :class:`forms.moduli.Moduli`, by which it is then assembled.
 
     Raises:
         ValueError: the form is integrated over cells that the matrix was not made for.
     """
     insertion = A.getAttr(_NAME)
     if insertion is not None:
-        insertion.assemble(A, form)
+        insertion.assemble(A, form if moduli is None else moduli.rest, moduli)
         return
     A.zeroEntries()
     # mypy sees the first of two overloads only.
@@ -176,12 +182,30 @@ class _Insertion:
         """Address of an array that lives as long as it is used."""
         return self._ffi.cast(_C[array.dtype.char], array.ctypes.data)
 
-    def assemble(self, A: PETSc.Mat, form: fem.Form) -> None:
-        """See the function of that name. Collective."""
+    def assemble(self, A: PETSc.Mat, form: fem.Form | None, moduli: Any = None) -> None:
+        """See the function of that name, the form without what has moduli. Collective."""
         own, waiting = _petsc.values(A), self._waiting
         for values in (*own, waiting.part.values):
             values[:] = 0
         self._matrix.values = [self._at(v) for v in (own[0], own[-1], waiting.part.values)]
+        left_out = 0 if moduli is None else moduli.add(self._matrix)
+        if form is not None:
+            left_out += self._add(form)
+        own[0][self._diagonal] = 1
+        if waiting.rows.size:
+            starts, values = waiting.part.rows, waiting.part.values
+            add = PETSc.InsertMode.ADD_VALUES
+            A.setValuesIJV(starts, waiting.columns, values, addv=add, rowmap=waiting.rows)
+        A.assemble()
+        left_out = A.comm.tompi4py().allreduce(left_out)
+        if left_out:
+            raise ValueError(
+                f"{left_out} cells or facets of the form are none of those that the matrix was "
+                "made for: make a matrix for this form."
+            )
+
+    def _add(self, form: fem.Form) -> int:
+        """Add a form's integrals; the number of entities without places. Local."""
         constants, left_out = _dolfinx.constants(form), 0
         integrals = zip(vars(form)["_kernels"], _dolfinx.integrals(form), strict=True)
         for kernel, (kind, entities, coefficients) in integrals:
@@ -195,18 +219,7 @@ class _Insertion:
             left_out += self._lib.insertion_add(
                 self._matrix, part, self._geometry, self._at(constants), *map(self._at, self._room)
             )
-        own[0][self._diagonal] = 1
-        if waiting.rows.size:
-            starts, values = waiting.part.rows, waiting.part.values
-            add = PETSc.InsertMode.ADD_VALUES
-            A.setValuesIJV(starts, waiting.columns, values, addv=add, rowmap=waiting.rows)
-        A.assemble()
-        left_out = A.comm.tompi4py().allreduce(left_out)
-        if left_out:
-            raise ValueError(
-                f"{left_out} cells or facets of the form are none of those that the matrix was "
-                "made for: make a matrix for this form."
-            )
+        return left_out
 
 
 class _Waiting(NamedTuple):

@@ -25,6 +25,7 @@ from .compilation import compiled
 from .differentiation import Dependent, dependents, expanded
 from .kinematics import circumference, is_revolved
 from .loads import with_kinematics
+from .moduli import Moduli
 from .operators.jets import Jet
 from .quadrature import with_quadrature
 from .variation import residual, tangent
@@ -89,6 +90,7 @@ class FormTerm:
         virtual_work: What was added to the residual, in UFL; None for nothing.
         constants: Constants in the forms.
         barriers: Obstacles of the potential.
+        moduli: By which the tangent is assembled; None where FFCx's kernels do.
     """
 
     def __init__(
@@ -129,6 +131,7 @@ class FormTerm:
         self.energy_form = compiled(potential) if is_energy else None
         self.residual_form, self.tangent_form = compiled(R), compiled(K)
         self.projected_form: fem.Form | None = None
+        self.moduli: Moduli | None = None
         self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
         self.constants = tuple(c for part in parts for c in extract_constants(part))
         self.barriers = Barriers(potential, u.function_space.mesh.comm)
@@ -177,12 +180,21 @@ class FormTerm:
                 of energies in singular values at each point, the matrices of cells and facets of
                 all other terms.
         """
-        form = self.tangent_form
+        form, moduli = self.tangent_form, self.moduli
         if projected:
             self.prepare_projection()
             assert self.projected_form is not None
-            form = self.projected_form
-        insertion.assemble(A, form, self._conditions)
+            form, moduli = self.projected_form, None
+        insertion.assemble(A, form, self._conditions, moduli)
+
+    def use_moduli(self) -> None:
+        """Compile the moduli, by which the tangent is assembled from now on, once. Collective.
+
+        They pay from some thousand cells on; a tangent that is not symmetric has none.
+        """
+        if self.moduli is None and self.symmetric:
+            moduli = Moduli(self.tangent_ufl)
+            self.moduli = moduli if moduli.rules else None
 
     def prepare_projection(self) -> None:
         """Compile the projected tangent, once. Collective.

@@ -175,6 +175,13 @@ for potential, unknown, field in (
         for projected in [False, False] + [True] * system.minimization:
             system.tangent(A, projected)
             assert np.isfinite(A.norm())
+        system.forms.use_moduli()  # of 16 cells, by kernels of several cells and of one
+        if system.forms.moduli is not None:
+            system.tangent(A)
+            system.forms.moduli.fill()
+            product = np.zeros_like(u.x.array)
+            system.forms.moduli.multiply(u.x.array, product)
+            assert np.isfinite(A.norm()) and np.isfinite(product).all()
 assert forms.solve(plain * ufl.dx, u, [forms.clamp(u, left)]).completed
 
 

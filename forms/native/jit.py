@@ -127,7 +127,7 @@ def _prepared(
 
     def make(folder: Path) -> Path:
         made = folder / "made"
-        with _handlers_kept():
+        with handlers_kept():
             jit.ffcx_jit(
                 MPI.COMM_SELF, ufl_object, _compiler_options(), {**chosen, "cache_dir": made}
             )
@@ -165,7 +165,7 @@ def _compiler_options() -> dict[str, Any]:
 
 
 @contextmanager
-def _handlers_kept() -> Iterator[None]:
+def handlers_kept() -> Iterator[None]:
     """Give the log its handlers back, which FFCx takes away while it compiles."""
     root = logging.getLogger()
     handlers = root.handlers.copy()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import shlex
 import subprocess
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,17 @@ _TABULATE = (
     "typedef void (*tabulate_t)(double *, const double *, const double *, const double *, "
     "const int *, const uint8_t *%s);"
 )
+_INSERTION = """
+typedef struct {
+  int cells, owned, size, nodes; const int32_t *numbers; const int16_t *places;
+  const int32_t *rows[3]; double *values[3]; const int8_t *held;
+} target_t;
+typedef struct {
+  tabulate_t kernel; int facets, lanes; long count; const int32_t *entities; int width;
+  const double *coefficients;
+} part_t;
+typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_t;
+"""
 _DECLARATIONS = """
 typedef struct {
   tabulate_t psi; int rows, cols, stretches, plane, improper, smooth, parameters; double clamp;
@@ -45,15 +57,6 @@ void singular_values(int rows, int cols, int plane, int improper, long n, const 
                      double *U, double *s, double *V);
 void projection_set(void *factorize, void *eigen);
 extern const tabulate_t kernels[64];
-typedef struct {
-  int cells, owned, size, nodes; const int32_t *numbers; const int16_t *places;
-  const int32_t *rows[3]; double *values[3]; const int8_t *held;
-} target_t;
-typedef struct {
-  tabulate_t kernel; int facets; long count; const int32_t *entities; int width;
-  const double *coefficients;
-} part_t;
-typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_t;
 int insertion_places(const target_t *t, const int8_t *met, const int32_t *columns[3],
                      const int32_t *first, int16_t *places);
 int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count,
@@ -75,6 +78,24 @@ void validity_scan(const validity_t *v, const double *x, double *room, double *l
 long validity_refine(const validity_t *v, const double *x, double best, double *room,
                      double *parts, double *low, double *high, double *most, double *where);
 extern const long declared[14];
+"""
+_ELEMENT = """
+extern const long moduli_sizes[3];
+extern const long moduli_shape[2];
+void moduli_fill(const part_t *p, const geometry_t *g, const double *constants, double *B);
+void moduli_product(const part_t *p, const int32_t *numbers, const double *moduli,
+                    const double *x, double *y);
+long moduli_add(const target_t *t, const part_t *p, const geometry_t *g, const double *constants);
+"""
+_CELLS = """
+typedef void *lanes_kernel_t;
+extern const long cells_sizes[3];
+extern const long lanes_count[1];
+extern const lanes_kernel_t lanes_kernels[];
+double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g,
+                 const double *constants);
+void cells_add(lanes_kernel_t kernel, const part_t *p, const geometry_t *g,
+               const double *constants, const int32_t *numbers, int nodes, int size, double *b);
 """
 _STRUCTURES = (
     "operator_t",
@@ -109,8 +130,50 @@ def library(comm: MPI.Comm) -> tuple[Any, Any]:
     return jit.alike(comm, lambda: _load(path), "the operators' kernels")
 
 
-def _path(flags: tuple[str, ...]) -> Path:
-    digest = hashlib.sha256()
+def element_library(comm: MPI.Comm, text: str) -> tuple[Any, Any]:
+    """The loaded loops for one element and its points, and their cffi interface. Collective.
+
+    Args:
+        comm: Communicator.
+        text: C code that defines what kernels/moduli.h asks for, and includes it.
+
+    Raises:
+        RuntimeError: the compiler is missing or failed; alike on all ranks.
+    """
+    return _made(comm, text, lambda: text, _ELEMENT, "moduli")
+
+
+def cells_library(comm: MPI.Comm, name: str, text: Callable[[], str]) -> tuple[Any, Any]:
+    """The loaded kernels of a form that compute several cells, with kernels/cells.h. Collective.
+
+    Args:
+        comm: Communicator.
+        name: Digest of the form.
+        text: Function that writes the C code, called where it is not in the cache.
+
+    Raises:
+        RuntimeError: the compiler is missing or failed; alike on all ranks.
+    """
+    return _made(comm, name, text, _CELLS, "cells")
+
+
+def _made(
+    comm: MPI.Comm, name: str, text: Callable[[], str], declarations: str, kind: str
+) -> tuple[Any, Any]:
+    """A library of generated code, built on rank 0 where it is not in the cache."""
+    flags = tuple(jit.flags(comm))
+    path = _path(flags, name)
+
+    def build() -> None:
+        if comm.rank == 0:
+            make_once(path, lambda folder: _build(folder / path.name, flags, text()))
+
+    jit.alike(comm, build, "loops over cells")
+    return jit.alike(comm, lambda: _load_made(path, declarations, kind), "loops over cells")
+
+
+def _path(flags: tuple[str, ...], text: str = "") -> Path:
+    digest = hashlib.sha256(text.encode())
     for source in sorted(SOURCE.iterdir()):
         digest.update(source.read_bytes())
     digest.update(repr((flags, _definitions(), jit.compiler())).encode())
@@ -121,10 +184,11 @@ def _definitions() -> list[str]:
     return ["-DVARIFORM_CUSTOM_DATA"] if _dolfinx.CUSTOM_DATA else []
 
 
-def _build(made: Path, flags: tuple[str, ...]) -> Path:
+def _build(made: Path, flags: tuple[str, ...], text: str = "") -> Path:
     command = [*shlex.split(jit.compiler()), "-std=c17", "-fPIC", "-shared", *flags]
-    command += [*_definitions(), "-o", str(made), str(SOURCE / "library.c"), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command += [*_definitions(), "-o", str(made), "-I", str(SOURCE)]
+    command += ["-x", "c", "-" if text else str(SOURCE / "library.c"), "-lm"]
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
     if done.returncode:
         raise OSError((done.stderr or done.stdout).strip().splitlines()[0])
     return made
@@ -134,7 +198,7 @@ def _build(made: Path, flags: tuple[str, ...]) -> Path:
 def _load(path: Path) -> tuple[Any, Any]:
     ffi = cffi.FFI()
     ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
-    ffi.cdef(_DECLARATIONS)
+    ffi.cdef(_INSERTION + _DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
     ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
     ours += [TOGETHER, MAX_PARTS, MAX_LINE]
@@ -146,6 +210,23 @@ def _load(path: Path) -> tuple[Any, Any]:
         )
     addresses = _petsc.lapack("dpotrf", "dsyev")
     loaded.projection_set(*(ffi.cast("void *", address) for address in addresses))
+    return loaded, ffi
+
+
+@cache
+def _load_made(path: Path, declarations: str, kind: str) -> tuple[Any, Any]:
+    ffi = cffi.FFI()
+    ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
+    ffi.cdef(_INSERTION + declarations)
+    loaded: Any = ffi.dlopen(str(path))
+    ours = [ffi.sizeof(name) for name in ("target_t", "part_t", "geometry_t")]
+    there = list(getattr(loaded, f"{kind}_sizes"))
+    if there != ours:
+        raise RuntimeError(
+            f"{path} declares other structures than Python, sizes {ours} here and {there} there: "
+            f"the declarations of {Path(__file__).name} and of {SOURCE.name}/insertion.h have to "
+            "be the same."
+        )
     return loaded, ffi
 
 

@@ -114,6 +114,7 @@ class Corrector:
         kept = self.newton.tangent.kept
         if not (kept.used and self.problem.minimization):
             return None
+        self.newton.tangent.refresh()
         return not kept.sees_negative_curvature()
 
     def refactor(self) -> int | None:

@@ -63,6 +63,8 @@ class Tangent:
         self.count = 0
         self._action: Action | None = None
         self.preset = presets.preset(problem, self.A, settings)
+        if self.preset.get("pc_type") in ("gamg", "mg"):
+            problem.forms.use_moduli()
         if problem.minimization and problem.is_displacement:
             self.A.setNearNullSpace(rigid_modes(problem.u.function_space))
 
@@ -73,9 +75,11 @@ class Tangent:
         if not own:  # another preconditioner has no use for this one's options
             preset = {k: v for k, v in preset.items() if k.split("_")[0] not in ("pc", "mat", "mg")}
         # Where multigrid is kept, the tangent that it was built of is out of date on purpose. An
-        # energy in singular values would find these anew at each product.
+        # energy in singular values without moduli would find these anew at each product.
         matrix_free = own and preset.get("pc_type") == "mg"
-        matrix_free &= not dependents(self.problem.forms.tangent_ufl)
+        moduli = self.problem.forms.moduli
+        products = self.problem.forms.tangent_ufl if moduli is None else moduli.rest_ufl
+        matrix_free &= products is None or not dependents(products)
         matrix_free &= len(self.problem.terms) == 1
         self._action = Action(self.problem, self.A) if matrix_free else None
         self._options.apply({**base, **preset})
@@ -108,6 +112,7 @@ class Tangent:
             self._action.assembled = self.projecting or self.damping is not None
             if not self._action.assembled and not self.kept.due:
                 self.problem.prepare()
+                self._action.update()
                 self.kept.prepare(self.A)
                 return
         self.scaled.tangent(self.projecting)
@@ -119,6 +124,7 @@ class Tangent:
     def use(self) -> None:
         """Damp the assembled tangent if need be, and hand it to the linear solver. Collective."""
         self.count += 1
+        self.refresh()
         self.spoiled = not self.scaled.is_finite()
         if self.spoiled:
             # MUMPS and GAMG would raise in the midst of SNES.
@@ -129,6 +135,11 @@ class Tangent:
         if self.damping is not None and not self.spoiled:
             self.damping.add(self.A)
         self.kept.prepare(self.A)
+
+    def refresh(self) -> None:
+        """Bring products without a matrix to the present state. Collective."""
+        if self._action is not None and not self._action.assembled:
+            self._action.update()
 
     def damp(self) -> None:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""

@@ -29,6 +29,7 @@ typedef struct {
 typedef struct {
   tabulate_t kernel;
   int facets;              /* entities are (cell, local facet), else cells */
+  int lanes;               /* the kernel computes several cells at once (vectors.h) */
   long count;
   const int32_t *entities;
   int width;               /* coefficients of an entity */
@@ -93,37 +94,43 @@ int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count, 
   return 1;
 }
 
-static inline __attribute__((always_inline)) void add_blocks(const target_t *t, long cell, const double *K,
+static inline __attribute__((always_inline)) void add_blocks(const target_t *t, long cell, double *K,
                                                              const int size)
 {
-  const int n = t->nodes;
+  const int n = t->nodes, total = n * size;
+  const int32_t *numbers = t->numbers + n * cell;
   const int16_t *place = t->places + cell * n * n;
-  for (int i = 0; i < n; i++, place += n, K += size * size * n) {
-    const int32_t r = t->numbers[n * cell + i];
-    const int ghost = r >= t->owned;
+  for (int i = 0; i < total; i++)
+    if (t->held[(long)size * numbers[i / size] + i % size])
+      for (int j = 0; j < total; j++) K[i * total + j] = K[j * total + i] = 0;
+  for (int i = 0; i < n; i++, place += n, K += size * total) {
+    const int32_t r = numbers[i];
+    const int usual = r >= t->owned ? 2 : 0; /* where most of the row's blocks are */
+    const int32_t *row = t->rows[usual] + (long)size * (usual ? r - t->owned : r);
+    double *const start = t->values[usual] + row[0];
+    const long length = row[1] - row[0];
     for (int j = 0; j < n; j++) {
-      const int other = place[j] < 0, part = ghost ? 2 : other;
-      const int32_t *row = t->rows[part] + (long)size * (ghost ? r - t->owned : r);
-      const long length = row[1] - row[0];
-      double *to = t->values[part] + row[0] + (other ? ~place[j] : place[j]);
+      double *to = start + place[j];
+      long stride = length;
+      if (place[j] < 0) {
+        const int32_t *beside = t->rows[1] + (long)size * r;
+        to = t->values[1] + beside[0] + ~place[j];
+        stride = beside[1] - beside[0];
+      }
       for (int a = 0; a < size; a++)
-        for (int b = 0; b < size; b++) to[a * length + b] += K[a * size * n + size * j + b];
+        for (int b = 0; b < size; b++) to[a * stride + b] += K[a * total + size * j + b];
     }
   }
 }
 
 static void add_cell(const target_t *t, long cell, double *K)
 {
-  const int n = t->nodes, size = t->size, total = n * size;
-  for (int i = 0; i < total; i++)
-    if (t->held[(long)size * t->numbers[n * cell + i / size] + i % size])
-      for (int j = 0; j < total; j++) K[i * total + j] = K[j * total + i] = 0;
-  if (size == 3)
+  if (t->size == 3)
     add_blocks(t, cell, K, 3);
-  else if (size == 2)
+  else if (t->size == 2)
     add_blocks(t, cell, K, 2);
   else
-    add_blocks(t, cell, K, size);
+    add_blocks(t, cell, K, t->size);
 }
 
 /* Add one integral of a bilinear form; K: space for a cell's matrix, x: for its coordinates. The number of

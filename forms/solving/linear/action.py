@@ -15,10 +15,11 @@ from ...problems import Problem
 
 
 class Action:
-    """K x by the derivative of the residual in the direction x, cell by cell.
+    """K x cell by cell: by the moduli at the points, else by the residual's derivative along x.
 
-    From degree 2 on it costs as much as a product with the assembled matrix or less, and saves
-    assembling one at each iteration; supported rows and columns are those of identity.
+    From degree 2 on it costs as much as a product with the assembled matrix or less, by moduli
+    less than half, and saves assembling one at each iteration; supported rows and columns are
+    those of identity. Moduli are those of the state of the last :meth:`update`.
 
     Args:
         problem: Problem whose tangent it is.
@@ -34,7 +35,9 @@ class Action:
         self.assembled, self._problem, self._A = True, problem, A
         V = problem.u.function_space
         self._x = fem.Function(V)
-        self._form = compiled(ufl.action(problem.forms.tangent_ufl, self._x))
+        self._moduli = moduli = problem.forms.moduli
+        without = problem.forms.tangent_ufl if moduli is None else moduli.rest_ufl
+        self._form = None if without is None else compiled(ufl.action(without, self._x))
         held = [bc.dof_indices()[0] for bc in problem.conditions]
         self._held = np.unique(np.concatenate([*held, np.empty(0, np.int32)]).astype(np.int32))
         self._y = problem.create_vector()
@@ -42,6 +45,11 @@ class Action:
         self.matrix.setBlockSize(A.getBlockSize())
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, problem.symmetric)
         self.matrix.setUp()
+
+    def update(self) -> None:
+        """Take the present state for that of products. Local."""
+        if self._moduli is not None:
+            self._moduli.fill()
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Put K x, K at the problem's u, into y. Collective."""
@@ -54,7 +62,10 @@ class Action:
         self._x.x.array[self._held] = 0
         with self._y.localForm() as local:
             local.set(0)
-        fem_petsc.assemble_vector(self._y, self._form)
+            if self._moduli is not None:
+                self._moduli.multiply(self._x.x.array, local.array)
+        if self._form is not None:
+            fem_petsc.assemble_vector(self._y, self._form)
         self._y.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         y.array[:] = self._y.array_r
         y.array[self._problem.constrained] = x.array_r[self._problem.constrained]

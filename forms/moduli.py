@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: MIT
+"""Tangents from moduli at the points: the second derivatives of the energy there, kept or not.
+
+Of a tangent's integral over cells, linear in the gradients of both its functions, all that depends
+on the energy is a symmetric matrix at each point: the moduli, with respect to the gradients on the
+reference cell. FFCx compiles them, as values at the points of the rule, and the rest is the same
+for every energy: products and cell matrices of several cells at a time (kernels/moduli.h).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
+
+from . import _dolfinx
+from ._types import Expr
+from .compilation import compiled, pointwise
+from .differentiation import dependents, expanded, nodes
+from .entities import with_owned_entities
+from .native.lanes import kernels
+from .native.library import element_library
+from .quadrature import with_quadrature
+
+ALIGNED = 64  # bytes: the largest vector register
+
+
+class Moduli:
+    """Moduli of the integrals of a tangent that have them.
+
+    B[aA, bB] = w |det J| sum_ij d2psi/dG_ai dG_bj  J^-1_Ai J^-1_Bj,  G = grad u,
+
+    at each point of weight w, J the Jacobian of the cell; symmetric, so that of 9 rows in space 45
+    numbers are kept. With them  K = sum_q D^T B D,  D the gradients of the shape functions.
+
+    Args:
+        tangent: Bilinear form, symmetric.
+
+    Attributes:
+        rest: Compiled integrals that have none: over facets, of the functions themselves, of
+            elements that are not those of one vector of Lagrange elements. None for nothing.
+        rest_ufl: The same in UFL.
+    """
+
+    def __init__(self, tangent: ufl.Form) -> None:
+        own, rest = split(tangent)
+        self.rest_ufl = ufl.Form(rest) if rest else None
+        self.rest = compiled(self.rest_ufl) if rest else None
+        degrees = sorted({i.metadata()["quadrature_degree"] for i in own})
+        self.rules = [
+            _Rule([i for i in own if i.metadata()["quadrature_degree"] == d], tangent, d)
+            for d in degrees
+        ]
+
+    def __bool__(self) -> bool:
+        """Whether any integral has moduli."""
+        return bool(self.rules)
+
+    def fill(self) -> None:
+        """Compute the moduli at the present state, to be kept for :meth:`multiply`. Local."""
+        for rule in self.rules:
+            rule.fill()
+
+    def multiply(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """Add K x to y by the moduli that were kept; both with room for ghosts. Local."""
+        for rule in self.rules:
+            rule.multiply(x, y)
+
+    def add(self, target: Any) -> int:
+        """Add the tangent at the present state to the arrays of an insertion. Local.
+
+        Returns:
+            Number of cells left out, since the arrays have no places for them.
+        """
+        return sum(rule.add(target) for rule in self.rules)
+
+
+class _Rule:
+    """Moduli at the points of one rule.
+
+    Args:
+        integrals: Those of this rule, expanded.
+        tangent: Form that they are of.
+        degree: Quadrature degree.
+    """
+
+    def __init__(self, integrals: list[Any], tangent: ufl.Form, degree: int) -> None:
+        V: Any = tangent.arguments()[0].ufl_function_space()
+        mesh, domain = V.mesh, tangent.ufl_domain()
+        cell = getattr(basix.CellType, _dolfinx.cell_name(domain.ufl_cell()))
+        rows = V.dofmap.bs * mesh.topology.dim
+        element = basix.ufl.quadrature_element(cell, degree=degree)
+        values = basix.ufl.blocked_element(element, shape=(rows * (rows + 1) // 2,))
+        test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
+        made = [ufl.inner(_moduli(i, tangent), test) for i in integrals]
+        form = ufl.Form([i.reconstruct(integrand=m) for i, m in zip(integrals, made, strict=True)])
+        self._form = pointwise(form)
+        # Energies in singular values have points of their own, found cell by cell.
+        vectors = None if dependents(form) else kernels(mesh.comm, form)
+        self._vectors = None if vectors is None else vectors[2]
+        points = basix.make_quadrature(cell, degree)[0]
+        self._lib, self._ffi = element_library(mesh.comm, _text(V, points))
+        self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
+        table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh), np.int32)
+        self._geometry = self._ffi.new("geometry_t *")
+        self._geometry.nodes, self._geometry.numbers = table.shape[1], self._at("int32_t *", table)
+        self._geometry.x = self._at("double *", mesh.geometry.x)
+        self._keep = table, mesh.geometry.x
+        self._kept: list[tuple[Any, Any, NDArray]] = []  # part, its cells, moduli
+
+    def _at(self, kind: str, array: NDArray) -> Any:
+        """Address of an array that lives as long as it is used."""
+        return self._ffi.cast(kind, array.ctypes.data)
+
+    def _parts(self) -> list[tuple[Any, Any]]:
+        """Parts with the present coefficients, and the arrays that they point to."""
+        made = []
+        found = self._vectors or vars(self._form)["_kernels"]
+        integrals = zip(found, _dolfinx.integrals(self._form), strict=True)
+        for kernel, (_, cells, coefficients) in integrals:
+            part = self._ffi.new("part_t *")
+            part.lanes = self._vectors is not None
+            cells = np.ascontiguousarray(cells, np.int32)
+            part.kernel = self._ffi.cast("tabulate_t", kernel)
+            part.facets, part.count = 0, len(cells)
+            part.entities = self._at("int32_t *", cells)
+            part.width = coefficients.shape[1]
+            part.coefficients = self._at("double *", coefficients)
+            made.append((part, (cells, coefficients)))
+        return made
+
+    def _constants(self) -> NDArray[np.float64]:
+        """The form's constants; the first tells kernels of one cell who they are."""
+        return _dolfinx.constants(self._form)[self._vectors is not None :]
+
+    def fill(self) -> None:
+        """See :meth:`Moduli.fill`."""
+        parts, constants = self._parts(), self._constants()
+        if not self._kept:
+            width, numbers = self._lib.moduli_shape
+            self._kept = [
+                (part, kept[0], _aligned(-(-part.count // width) * width * numbers))
+                for part, kept in parts
+            ]
+        for (part, _), (_, _, B) in zip(parts, self._kept, strict=True):
+            self._lib.moduli_fill(
+                part, self._geometry, self._at("double *", constants), self._at("double *", B)
+            )
+
+    def multiply(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """See :meth:`Moduli.multiply`."""
+        numbers, given, to = (
+            self._at("int32_t *", self._numbers),
+            self._at("double *", x),
+            self._at("double *", y),
+        )
+        for part, _, B in self._kept:
+            self._lib.moduli_product(part, numbers, self._at("double *", B), given, to)
+
+    def add(self, target: Any) -> int:
+        """See :meth:`Moduli.add`."""
+        constants = self._constants()
+        given = self._ffi.cast("target_t *", target)
+        return sum(
+            self._lib.moduli_add(given, part, self._geometry, self._at("double *", constants))
+            for part, _ in self._parts()
+        )
+
+
+def split(tangent: ufl.Form) -> tuple[list[Any], list[Any]]:
+    """Integrals of a tangent that have moduli, expanded, and those that have none."""
+    form = with_quadrature(with_owned_entities(expand_derivatives(expanded(tangent))))
+    own: list[Any] = []
+    rest: list[Any] = []
+    fits = _is_one_vector(tangent)
+    for integral in form.integrals():
+        (own if fits and _has_moduli(integral) else rest).append(integral)
+    return own, rest
+
+
+def _is_one_vector(tangent: ufl.Form) -> bool:
+    """Whether both arguments are those of one vector of Lagrange elements."""
+    V, other = (a.ufl_function_space() for a in tangent.arguments())
+    element = V.ufl_element()
+    return bool(
+        V == other
+        and V.dofmap.bs == element.block_size > 1
+        and element.reference_value_shape == (element.block_size,)
+        and element.family_name == "P"
+        and not V.element.needs_dof_transformations
+    )
+
+
+def _has_moduli(integral: Any) -> bool:
+    """Whether an integral over cells contains its arguments in gradients only."""
+    if integral.integral_type() != "cell":
+        return False
+    metadata = integral.metadata()
+    if metadata.get("quadrature_rule", "default") != "default":
+        return False
+    alone: set[Any] = set()
+    for e in nodes(integral.integrand()):
+        arguments = [o for o in e.ufl_operands if isinstance(o, ufl.classes.Argument)]
+        if arguments and not isinstance(e, ufl.classes.Grad):
+            alone.update(arguments)
+        if isinstance(e, ufl.classes.Grad) and isinstance(e.ufl_operands[0], ufl.classes.Grad):
+            return False
+    return not alone
+
+
+def _moduli(integral: Any, tangent: ufl.Form) -> Expr:
+    """Upper triangle of the moduli, without the weights and the volume, as a vector."""
+    test, trial = tangent.arguments()
+    inverse = ufl.JacobianInverse(tangent.ufl_domain())
+    size, dim = test.ufl_shape[0], inverse.ufl_shape[0]
+
+    def unit(row: int) -> Expr:
+        """Gradient of a field whose gradient on the reference cell is 1 in one component."""
+        a, A = divmod(row, dim)
+        columns = range(inverse.ufl_shape[1])
+        return ufl.as_tensor(
+            [[inverse[A, i] if c == a else 0 for i in columns] for c in range(size)]
+        )
+
+    given, rows = integral.integrand(), range(size * dim)
+    columns = [ufl.replace(given, {ufl.grad(trial): unit(c)}) for c in rows]
+    return ufl.as_vector(
+        [ufl.replace(columns[c], {ufl.grad(test): unit(r)}) for r in rows for c in rows if c >= r]
+    )
+
+
+def _text(V: Any, points: NDArray[np.float64]) -> str:
+    """C code of an element at points, for kernels/moduli.h."""
+    scalar = V.element.basix_element
+    gradients = scalar.tabulate(1, points)[1:, :, :, 0]  # (reference directions, points, nodes)
+    gradients[abs(gradients) < 1e-14] = 0
+    table = np.ascontiguousarray(gradients.transpose(1, 2, 0)).tolist()
+    written = repr(table).replace("[", "{").replace("]", "}")
+    corners = _dolfinx.geometry_dofmap(V.mesh).shape[1]
+    dim, count, nodes = gradients.shape
+    return (
+        f"#define NODES {nodes}\n#define POINTS {count}\n#define SIZE {V.dofmap.bs}\n"
+        f"#define DIM {dim}\n#define CORNERS {corners}\n"
+        f"static const double G[{count}][{nodes}][{dim}] = {written};\n"
+        '#include "moduli.h"\n'
+    )
+
+
+def _aligned(size: int) -> NDArray[np.float64]:
+    """Room for numbers that vector registers are loaded from."""
+    room = np.empty(size + ALIGNED // 8)
+    start = -room.ctypes.data % ALIGNED // 8
+    return room[start : start + size]

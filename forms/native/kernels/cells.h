@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: MIT */
+/* Sums over cells by a kernel that computes several at once; the text that includes this file has it. */
+#ifndef VARIFORM_CELLS_H
+#define VARIFORM_CELLS_H
+
+#include "vectors.h"
+
+/* What Python has to know of this file. */
+const long cells_sizes[] = {sizeof(target_t), sizeof(part_t), sizeof(geometry_t)};
+
+/* Sum of a functional over a part's cells. */
+double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g, const double *constants)
+{
+  lanes_t w[p->width + 1], x[3 * g->nodes], sum = {0};
+  for (long first = 0; first < p->count; first += WIDTH) {
+    lanes_t A = {0};
+    gather_cells(p, first, g, w, x);
+    kernel(&A, w, constants, x);
+    for (int k = 0; k < WIDTH && first + k < p->count; k++) sum[k] += A[k];
+  }
+  double total = 0;
+  for (int k = 0; k < WIDTH; k++) total += sum[k];
+  return total;
+}
+
+/* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components. */
+void cells_add(lanes_kernel_t kernel, const part_t *p, const geometry_t *g, const double *constants,
+               const int32_t *numbers, int nodes, int size, double *b)
+{
+  lanes_t w[p->width + 1], x[3 * g->nodes], A[nodes * size];
+  for (long first = 0; first < p->count; first += WIDTH) {
+    memset(A, 0, sizeof A);
+    gather_cells(p, first, g, w, x);
+    kernel(A, w, constants, x);
+    for (int k = 0; k < WIDTH && first + k < p->count; k++) {
+      const int32_t *n = numbers + nodes * (long)p->entities[first + k];
+      for (int i = 0; i < nodes; i++)
+        for (int a = 0; a < size; a++) b[size * (long)n[i] + a] += A[size * i + a][k];
+    }
+  }
+}
+
+#endif

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""Laws: moduli at the points give the tangent, whatever is in the energy, at any width of registers.
+
+That they do for all kinds of cells and supports, on any number of ranks: test_insertion.
+"""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dolfinx_mesh
+
+from variform import forms, meshes
+from variform.forms import energies
+from variform.forms.moduli import Moduli, split
+from variform.forms.native import jit
+
+# Of 11 cells: lanes that are full and that are not, whatever the width.
+CELLS = 11
+
+
+def strip(degree=2):
+    """A row of triangles with an uneven number of cells, bent."""
+    points = np.array([[k / 2, k % 2 + 0.1 * k] for k in range(CELLS + 2)])
+    cells = np.array([[k, k + 1, k + 2] for k in range(CELLS)])
+    body = meshes.from_arrays(MPI.COMM_SELF, points, cells)
+    u = forms.displacement(body, degree)
+    u.interpolate(lambda x: np.stack([0.1 * x[0] * x[1], 0.05 * np.sin(2 * x[0])]))
+    return body, u
+
+
+def branches(F, u, body):
+    """Every relation, with numbers, Constants and functions on both sides."""
+    C, J = F.T * F, ufl.det(F)
+    a, b = C[0, 0], C[1, 1]
+    one = fem.Constant(body.mesh, 1.0)
+    both = ufl.And(ufl.lt(a, 1.2), ufl.Not(ufl.gt(b, one)))
+    either = ufl.Or(ufl.ge(a, b), ufl.le(J, 0.9))
+    return (
+        ufl.conditional(both, a**2, a * b)
+        + ufl.conditional(either, (J - 1) ** 2, 2 * (J - 1) ** 2)
+        + ufl.conditional(ufl.ne(one, 2.0), a**2 * b, b**2)
+        + ufl.conditional(ufl.eq(one, 2.0), a**2 * b, b**2)
+        + ufl.max_value(a, b) ** 2
+        + ufl.min_value(a, 1.1) ** 2
+    )
+
+
+def functions(F, u, body):
+    """Every function of <math.h> that UFL has, powers of all kinds."""
+    C, J = F.T * F, ufl.det(F)
+    a, b, c = C[0, 0], C[1, 1], C[0, 1]
+    p = fem.Constant(body.mesh, 0.7)
+    of_one = (ufl.sqrt, ufl.exp, ufl.ln, ufl.cos, ufl.sin, ufl.tan, ufl.atan, ufl.erf)
+    hyperbolic = (ufl.cosh, ufl.sinh, ufl.tanh)
+    return (
+        sum(f(a) for f in (*of_one, *hyperbolic))
+        + ufl.acos(c / 4)
+        + ufl.asin(c / 3)
+        + ufl.atan2(a, b)
+        + abs(c) ** 3
+        + J ** (-2 / 3)
+        + a**p
+        + a**b
+        + b**3
+    )
+
+
+def fields(F, u, body):
+    """Moduli and fibers that are functions, of cells and of nodes; a modulus that is a Constant."""
+    mu = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
+    mu.x.array[:] = 1 + np.arange(len(mu.x.array)) / 7
+    fiber = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (3,))))
+    fiber.interpolate(lambda x: np.stack([np.cos(x[0]), np.sin(x[0]), 0 * x[0]]))
+    lmbda = fem.Constant(body.mesh, 3.0)
+    stretch = ufl.inner(F * fiber, F * fiber)
+    return energies.neo_hookean(F, mu, lmbda) + fem.Constant(body.mesh, 0.5) * (stretch - 1) ** 2
+
+
+def singular(F, u, body):
+    """An operator and plain UFL in one integral."""
+    return energies.fixed_corotated(F, 1.0, 2.0) + energies.neo_hookean(F, 1.0, 2.0)
+
+
+def difference(K, u):
+    """Moduli's product against FFCx's matrix times a vector: difference over the largest."""
+    moduli = Moduli(K)
+    assert moduli.rules
+    A = fem.assemble_matrix(forms.compiled(K)).to_dense()
+    x = np.random.default_rng(1).standard_normal(len(u.x.array))
+    product = np.zeros_like(x)
+    moduli.fill()
+    moduli.multiply(x, product)
+    if moduli.rest is not None:
+        product += fem.assemble_matrix(moduli.rest).to_dense() @ x
+    return np.abs(product - A @ x).max() / np.abs(A @ x).max()
+
+
+@pytest.mark.parametrize("width", [2, 4, 8])
+@pytest.mark.parametrize("energy", [branches, functions, fields, singular])
+def test_products_are_the_matrix_s(energy, width, monkeypatch):
+    """K x by kernels of several cells, 1e-14 of the largest: branches, functions, coefficients."""
+    usual = jit.flags(MPI.COMM_SELF)
+    monkeypatch.setattr(jit, "flags", lambda comm: [*usual, f"-DWIDTH={width}"])
+    body, u = strip()
+    K = forms.tangent(forms.residual(energy(forms.deformation_gradient(u), u, body) * ufl.dx, u), u)
+    assert difference(K, u) < 1e-14
+
+
+def test_regions_have_moduli_of_their_own():
+    """Integrals over parts of the cells, of several degrees, in one tangent."""
+    body, u = strip()
+    tags = dolfinx_mesh.meshtags(
+        body.mesh, 2, np.arange(5, dtype=np.int32), np.full(5, 3, np.int32)
+    )
+    dx = ufl.Measure("dx", body.mesh, subdomain_data=tags)
+    F = forms.deformation_gradient(u)
+    psi = energies.neo_hookean(F, 1.0, 2.0)
+    potential = psi * dx + 2 * psi * dx(3) + psi**2 * dx(degree=5) + ufl.inner(u, u) * dx
+    K = forms.tangent(forms.residual(potential, u), u)
+    moduli = Moduli(K)
+    assert len(moduli.rules) == 2 and moduli.rest_ufl is not None
+    assert difference(K, u) < 1e-14
+
+
+def test_what_has_no_moduli_is_left():
+    """Loads on facets, inertia, terms of the functions themselves, second gradients."""
+    body, u = strip()
+    F = forms.deformation_gradient(u)
+    psi = energies.neo_hookean(F, 1.0, 2.0)
+    curvature = ufl.inner(ufl.grad(ufl.grad(u)), ufl.grad(ufl.grad(u)))
+    for other in (
+        forms.spring(u, 2.0, ufl.ds(body.mesh)),
+        ufl.inner(u, u) * ufl.dx,
+        ufl.inner(u, u) * ufl.tr(F) * ufl.dx,
+        curvature * ufl.dx,
+    ):
+        own, rest = split(forms.tangent(forms.residual(psi * ufl.dx + other, u), u))
+        assert len(own) == 1 and len(rest) == 1
+    revolved = (
+        energies.neo_hookean(forms.axisymmetric(u), 1.0, 2.0) * forms.circumference(u) * ufl.dx
+    )
+    assert not split(forms.tangent(forms.residual(revolved, u), u))[0]
+    w = forms.displacement_pressure(body)
+    v, p = ufl.split(w)
+    G = forms.deformation_gradient(v)
+    mixed = energies.with_pressure(energies.isochoric_neo_hookean(G, 1.0), G, p) * ufl.dx
+    assert not split(forms.tangent(forms.residual(mixed, w), w))[0]
+
+
+def test_a_tangent_that_is_not_symmetric_has_none():
+    """A pressure that follows the surface as a virtual work: FFCx's kernels assemble it."""
+    body, u = strip()
+    psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    work = forms.follower_pressure(u, 0.1, ufl.TestFunction(u.function_space), ufl.ds(body.mesh))
+    problem = forms.Problem(psi * ufl.dx, u, virtual_work=work)
+    problem.forms.use_moduli()
+    assert problem.forms.moduli is None
+
+
+def test_moduli_are_those_of_the_last_fill():
+    """Products stay those of the state that they were filled at, and follow with the next one."""
+    _, u = strip()
+    K = forms.tangent(
+        forms.residual(energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx, u), u
+    )
+    moduli, x = Moduli(K), np.random.default_rng(1).standard_normal(len(u.x.array))
+
+    def product():
+        y = np.zeros_like(x)
+        moduli.multiply(x, y)
+        return y
+
+    moduli.fill()
+    before = product()
+    u.x.array[:] *= 0.5
+    assert np.array_equal(product(), before)
+    moduli.fill()
+    after = fem.assemble_matrix(forms.compiled(K)).to_dense() @ x
+    assert product() == pytest.approx(after, abs=1e-14 * np.abs(after).max())
+    assert np.abs(after - before).max() > 1e-3 * np.abs(after).max()
+
+
+def test_a_release_with_other_trees_gets_ffcx_s_own_kernels(monkeypatch):
+    """Where FFCx describes kernels otherwise, cells are computed one by one, and the same."""
+    monkeypatch.setattr(forms._dolfinx, "TREES", False)
+    _, u = strip()
+    psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    K = forms.tangent(forms.residual(psi * ufl.dx, u), u)
+    assert difference(K, u) < 1e-14
