@@ -20,10 +20,10 @@ from ufl.algorithms import expand_derivatives
 
 from . import _dolfinx
 from ._types import Expr
-from .compilation import compiled, pointwise
-from .differentiation import dependents, expanded, nodes
+from .batches import Batch
+from .compilation import compiled
+from .differentiation import expanded, nodes
 from .entities import with_owned_entities
-from .native.lanes import kernels
 from .native.library import element_library
 from .quadrature import with_quadrature
 
@@ -97,12 +97,13 @@ class _Rule:
         element = basix.ufl.quadrature_element(cell, degree=degree)
         values = basix.ufl.blocked_element(element, shape=(rows * (rows + 1) // 2,))
         test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
-        made = [ufl.inner(_moduli(i, tangent), test) for i in integrals]
-        form = ufl.Form([i.reconstruct(integrand=m) for i, m in zip(integrals, made, strict=True)])
-        self._form = pointwise(form)
-        # Energies in singular values have points of their own, found cell by cell.
-        vectors = None if dependents(form) else kernels(mesh.comm, form)
-        self._vectors = None if vectors is None else vectors[2]
+
+        def derived() -> ufl.Form:
+            made = [ufl.inner(_moduli(i, tangent), test) for i in integrals]
+            pairs = zip(integrals, made, strict=True)
+            return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
+
+        self._batch = Batch(ufl.Form(integrals), derived)
         points = basix.make_quadrature(cell, degree)[0]
         self._lib, self._ffi = element_library(mesh.comm, _text(V, points))
         self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
@@ -117,30 +118,9 @@ class _Rule:
         """Address of an array that lives as long as it is used."""
         return self._ffi.cast(kind, array.ctypes.data)
 
-    def _parts(self) -> list[tuple[Any, Any]]:
-        """Parts with the present coefficients, and the arrays that they point to."""
-        made = []
-        found = self._vectors or vars(self._form)["_kernels"]
-        integrals = zip(found, _dolfinx.integrals(self._form), strict=True)
-        for kernel, (_, cells, coefficients) in integrals:
-            part = self._ffi.new("part_t *")
-            part.lanes = self._vectors is not None
-            cells = np.ascontiguousarray(cells, np.int32)
-            part.kernel = self._ffi.cast("tabulate_t", kernel)
-            part.facets, part.count = 0, len(cells)
-            part.entities = self._at("int32_t *", cells)
-            part.width = coefficients.shape[1]
-            part.coefficients = self._at("double *", coefficients)
-            made.append((part, (cells, coefficients)))
-        return made
-
-    def _constants(self) -> NDArray[np.float64]:
-        """The form's constants; the first tells kernels of one cell who they are."""
-        return _dolfinx.constants(self._form)[self._vectors is not None :]
-
     def fill(self) -> None:
         """See :meth:`Moduli.fill`."""
-        parts, constants = self._parts(), self._constants()
+        parts, constants = self._batch.parts(self._ffi), self._batch.constants()
         if not self._kept:
             width, numbers = self._lib.moduli_shape
             self._kept = [
@@ -164,11 +144,11 @@ class _Rule:
 
     def add(self, target: Any) -> int:
         """See :meth:`Moduli.add`."""
-        constants = self._constants()
+        constants = self._batch.constants()
         given = self._ffi.cast("target_t *", target)
         return sum(
             self._lib.moduli_add(given, part, self._geometry, self._at("double *", constants))
-            for part, _ in self._parts()
+            for part, _ in self._batch.parts(self._ffi)
         )
 
 

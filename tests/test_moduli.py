@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws: moduli at the points give the tangent, whatever is in the energy, at any width of registers.
+"""Laws: moduli at the points give the tangent, whatever is in the energy, at every width of lanes.
 
 That they do for all kinds of cells and supports, on any number of ranks: test_insertion.
 """

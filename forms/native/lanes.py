@@ -8,7 +8,9 @@ broadcasts. Branches are computed on both sides and chosen from.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, NamedTuple
 
 from mpi4py import MPI
 
@@ -21,6 +23,7 @@ from ffcx.codegeneration.backend import FFCXBackend
 from ffcx.codegeneration.C.c_implementation import CFormatter
 from ffcx.codegeneration.integral_generator import IntegralGenerator
 from ffcx.ir.representation import compute_ir
+from ufl.algorithms.analysis import extract_constants
 from ufl.corealg.traversal import unique_pre_traversal
 
 from .. import _dolfinx
@@ -29,16 +32,40 @@ from .canonical import canonical
 from .library import cells_library
 
 
-def kernels(comm: MPI.Comm, form: ufl.Form) -> tuple[Any, Any, list[Any]] | None:
-    """Loops over several cells at once, and a form's kernels for them. Collective.
+class Kernels(NamedTuple):
+    """Kernels of a form that compute several cells at once.
+
+    Attributes:
+        lib: Library with the loops of kernels/cells.h.
+        ffi: Its cffi interface.
+        kernels: One for each integral, in the order of their subdomains' numbers.
+        ids: These numbers; -1 for the whole mesh.
+        coefficients: Places, among the form's coefficients, of those that the kernels read.
+        constants: The same of constants.
+    """
+
+    lib: Any
+    ffi: Any
+    kernels: list[Any]
+    ids: list[int]
+    coefficients: list[int]
+    constants: list[int]
+
+
+def kernels(
+    comm: MPI.Comm, form: ufl.Form, derived: Callable[[], ufl.Form] | None = None
+) -> Kernels | None:
+    """Compile a form's kernels for several cells at once. Collective.
 
     Args:
         comm: Communicator.
-        form: Expanded form of integrals over cells.
+        form: Expanded form of integrals over cells, by which the kernels are found again.
+        derived: Function that returns the form to compile, which follows from that one and has no
+            other coefficients and Constants; called where it is not in the cache.
 
     Returns:
-        The library, its cffi interface, and the kernel of each integral in FFCx's order; None where
-        a function of the form has no vectors, or FFCx is of a release whose tree is another.
+        None where a function of the form has no vectors, or FFCx is of a release whose tree is
+        another.
 
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
@@ -49,16 +76,24 @@ def kernels(comm: MPI.Comm, form: ufl.Form) -> tuple[Any, Any, list[Any]] | None
         isinstance(e, scalar) for part in parts for e in unique_pre_traversal(part)
     ):
         return None
-    written = canonical(form)
-    lib, ffi = cells_library(comm, _dolfinx.signature(written, "lanes"), lambda: _text(written))
-    return lib, ffi, [lib.lanes_kernels[k] for k in range(lib.lanes_count[0])]
+    name = _dolfinx.signature(canonical(form), "lanes" if derived is None else "lanes, derived")
+    text = functools.partial(_text, form, derived or (lambda: form))
+    lib, ffi = cells_library(comm, name, text)
+    count, *lengths = lib.lanes_counts
+    found = [
+        list(ffi.unpack(getattr(lib, f"lanes_{what}"), n))
+        for what, n in zip(("ids", "coefficients", "constants"), (count, *lengths), strict=True)
+    ]
+    return Kernels(lib, ffi, [lib.lanes_kernels[k] for k in range(count)], *found)
 
 
-def _text(form: ufl.Form) -> str:
-    """C code of a form's kernels, in the order in which FFCx numbers them; local."""
+def _text(form: ufl.Form, derived: Callable[[], ufl.Form]) -> str:
+    """C code of the kernels, and what they read; local."""
+    made = derived()
+    written = canonical(made)
     options = ffcx.options.get_options({"scalar_type": np.float64})
     with jit.handlers_kept():
-        analysis = analyze_ufl_objects([form], np.float64)
+        analysis = analyze_ufl_objects([written], np.float64)
         ir = compute_ir(analysis, {}, "lanes", options, False)
     bodies = {
         integral.expression.name: _Formatter().c_format(
@@ -66,17 +101,38 @@ def _text(form: ufl.Form) -> str:
         )
         for integral in ir.integrals
     }
-    names, ids = ir.forms[0].integral_names["cell"], ir.forms[0].subdomain_ids["cell"]
-    ordered = [names[k] for k in np.argsort(ids)]
+    (about,) = ir.forms
+    names, ids = about.integral_names["cell"], about.subdomain_ids["cell"]
+    order = np.argsort(ids)
+    known, all_known = form.coefficients(), extract_constants(form)
+    read = [written.coefficients()[i] for i in about.original_coefficient_positions]
+    numbered = extract_constants(made)
+    used = [numbered[c.count()] for c in written.constants()]
     head = "lanes_t *restrict A, const lanes_t *restrict w, const double *restrict c"
     head += ", const lanes_t *restrict coordinate_dofs"
-    written = [f"static void {name}({head})\n{{\n{body}}}\n" for name, body in bodies.items()]
-    return (
-        '#include "cells.h"\n'
-        + "".join(written)
-        + f"const long lanes_count[] = {{{len(ordered)}}};\n"
-        + f"const lanes_kernel_t lanes_kernels[] = {{{', '.join(ordered)}}};\n"
+    functions = [f"static void {name}({head})\n{{\n{body}}}\n" for name, body in bodies.items()]
+    lists = {
+        "ids": [ids[k] for k in order],
+        "coefficients": [known.index(c) for c in read],
+        "constants": [all_known.index(c) for c in used],
+    }
+    counts = [len(values) for values in lists.values()]
+    tables = [f"const long lanes_{name}[] = {_braces(v)};" for name, v in lists.items()]
+    return "\n".join(
+        [
+            '#include "cells.h"',
+            *functions,
+            f"const long lanes_counts[] = {_braces(counts)};",
+            *tables,
+            f"const lanes_kernel_t lanes_kernels[] = {_braces(names[k] for k in order)};",
+            "",
+        ]
     )
+
+
+def _braces(values: Iterable[Any]) -> str:
+    """An array of C, of at least one number."""
+    return f"{{{', '.join(map(str, values)) or '0'}}}"
 
 
 class _Formatter(CFormatter):

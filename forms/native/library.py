@@ -90,7 +90,7 @@ long moduli_add(const target_t *t, const part_t *p, const geometry_t *g, const d
 _CELLS = """
 typedef void *lanes_kernel_t;
 extern const long cells_sizes[3];
-extern const long lanes_count[1];
+extern const long lanes_counts[3], lanes_ids[], lanes_coefficients[], lanes_constants[];
 extern const lanes_kernel_t lanes_kernels[];
 double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g,
                  const double *constants);
