@@ -27,7 +27,6 @@ from .native.library import library
 _NAME = "variform_insertion"
 _WIDTHS = {fem.IntegralType.cell: 1, fem.IntegralType.exterior_facet: 2}  # numbers of an entity
 _C = {"b": "int8_t *", "h": "int16_t *", "i": "int32_t *", "d": "double *"}
-_ROWS = 256  # filled with zeros at a time: few, so that the zeros stay in the cache
 
 
 def create_matrix(form: fem.Form, conditions: Sequence[fem.DirichletBC] = ()) -> PETSc.Mat:
@@ -45,8 +44,7 @@ def create_matrix(form: fem.Form, conditions: Sequence[fem.DirichletBC] = ()) ->
         return fem_petsc.create_matrix(form)
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
-    A = _dolfinx.create_matrix(form.mesh.comm, pattern)
-    _fill(A, pattern)
+    A = _zeros(form.mesh.comm, pattern, form.function_spaces[0].dofmap.index_map_bs)
     try:
         insertion = _Insertion(A, pattern, form, conditions)
     except OverflowError:
@@ -99,20 +97,47 @@ def _possible(form: fem.Form) -> bool:
     )
 
 
-def _fill(A: PETSc.Mat, pattern: Any) -> None:
-    """Store a zero at each entry of a sparsity pattern, so that its arrays get their places."""
-    columns, pointers = pattern.graph
-    owned, size = pattern.index_map(0).size_local, A.getBlockSize()
-    names = _dolfinx.column_map(pattern)
-    first = A.getOwnershipRange()[0] // size
-    for begin in range(0, owned, _ROWS):
-        end = min(begin + _ROWS, owned)
-        part = slice(pointers[begin], pointers[end])
-        found = names.local_to_global(columns[part]).astype(PETSc.IntType)
-        starts = (pointers[begin : end + 1] - pointers[begin]).astype(PETSc.IntType)
-        rows = np.arange(first + begin, first + end, dtype=PETSc.IntType)
-        A.setValuesBlockedIJV(starts, found, np.zeros(len(found) * size**2), rowmap=rows)
-    A.assemble()
+def _zeros(comm: MPI.Comm, pattern: Any, size: int) -> PETSc.Mat:
+    """AIJ matrix with a zero stored at each entry of a pattern of square blocks. Collective.
+
+    Its arrays are written at once: to let PETSc place a zero at each entry costs more than an
+    assembly.
+    """
+    lib, ffi = library(comm)
+    nodes, pointers = (np.ascontiguousarray(array) for array in pattern.graph)
+    imap, names = pattern.index_map(0), _dolfinx.column_map(pattern)
+    owned = imap.size_local
+    pointers = pointers[: owned + 1].astype(np.int64)
+    found = names.local_to_global(nodes[: pointers[-1]].astype(np.int32)).astype(np.int64)
+    rows = np.empty(owned * size + 1, PETSc.IntType)
+    columns = np.empty(pointers[-1] * size**2, PETSc.IntType)
+    lib.insertion_rows(
+        owned,
+        size,
+        ffi.cast("int64_t *", pointers.ctypes.data),
+        ffi.cast("int64_t *", found.ctypes.data),
+        ffi.cast("int32_t *", rows.ctypes.data),
+        ffi.cast("int32_t *", columns.ctypes.data),
+    )
+    local, total = owned * size, imap.size_global * size
+    A = PETSc.Mat().createAIJWithArrays(
+        ((local, total), (local, total)), (rows, columns, np.zeros(len(columns))), comm=comm
+    )
+    A.setBlockSize(size)
+    if comm.size > 1:  # there PETSc has copied the arrays
+        A.setAttr("__csr__", None)
+    for option in (
+        PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR,
+        PETSc.Mat.Option.KEEP_NONZERO_PATTERN,
+    ):
+        A.setOption(option, True)
+    maps = []
+    for m in (imap, names):
+        numbers = np.arange(m.size_local + m.num_ghosts, dtype=np.int32)
+        known = m.local_to_global(numbers).astype(PETSc.IntType)
+        maps.append(PETSc.LGMap().create(known, bsize=size, comm=comm))
+    A.setLGMap(*maps)
+    return A
 
 
 class _Insertion:

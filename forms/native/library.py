@@ -57,6 +57,8 @@ void singular_values(int rows, int cols, int plane, int improper, long n, const 
                      double *U, double *s, double *V);
 void projection_set(void *factorize, void *eigen);
 extern const tabulate_t kernels[64];
+void insertion_rows(int owned, int size, const int64_t *starts, const int64_t *blocks,
+                    int32_t *rows, int32_t *columns);
 int insertion_places(const target_t *t, const int8_t *met, const int32_t *columns[3],
                      const int32_t *first, int16_t *places);
 int insertion_diagonal(const int32_t *rows, const int32_t *columns, long count,

@@ -42,6 +42,29 @@ typedef struct {
   const double *x;
 } geometry_t;
 
+/* Rows and columns of a matrix with blocks of a size, sorted, from those of its blocks' rows. */
+void insertion_rows(int owned, int size, const int64_t *starts, const int64_t *blocks, int32_t *rows, int32_t *columns)
+{
+  rows[0] = 0;
+  for (long r = 0; r < owned; r++) {
+    const int64_t *row = blocks + starts[r];
+    const long count = starts[r + 1] - starts[r];
+    int32_t *first = columns;
+    for (long k = 0; k < count; k++) { /* ghosts are among the others: insert what is out of order */
+      long at = k;
+      const int32_t column = (int32_t)row[k] * size;
+      for (; at > 0 && first[(at - 1) * size] > column; at--) first[at * size] = first[(at - 1) * size];
+      first[at * size] = column;
+    }
+    for (long k = 0; k < count; k++)
+      for (int b = 1; b < size; b++) first[k * size + b] = first[k * size] + b;
+    columns += count * size;
+    for (int a = 1; a < size; a++, columns += count * size)
+      memcpy(columns, first, (size_t)(count * size) * sizeof *columns);
+    for (int a = 0; a < size; a++) rows[size * r + a + 1] = rows[size * r + a] + (int32_t)(count * size);
+  }
+}
+
 /* Where column is in the sorted columns of a row; -1: not there. */
 static long place_in(const int32_t *columns, long n, int32_t column)
 {
