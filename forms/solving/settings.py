@@ -35,8 +35,8 @@ class Settings:
         direct_up_to: Unknowns up to which a factorization by MUMPS is the preset in space.
         split_from: Unknowns from which displacement-pressure problems get the field split, by the
             kind of cell.
-        slower: Iterations for a digit, over those of the first solve, at which a preconditioner is
-            built anew: an assembly of its operators costs as much as 10 to 25 iterations.
+        slower: Iterations beyond the pace of the first solve, in sum, after which a preconditioner
+            is built anew: that costs as much as 25 to 50 of them.
         slow: Iterations for a digit above which a factorization is faster, as in a body that is
             nearly incompressible and has no pressure of its own.
         factorized_up_to: Unknowns up to which one is then turned to.
@@ -72,7 +72,7 @@ class Settings:
     stiffened: float = 100.0
     direct_up_to: int = field(default_factory=lambda: presets.DIRECT_UP_TO)
     split_from: Mapping[str, int] = field(default_factory=lambda: presets.SPLIT_FROM)
-    slower: float = 2.0
+    slower: float = 25.0
     slow: float = 30.0
     factorized_up_to: int = 50_000
     patience: float = 4.0
