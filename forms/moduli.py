@@ -9,7 +9,11 @@ for every energy: products and cell matrices of several cells at a time (kernels
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any
+
+from mpi4py import MPI
 
 import basix
 import basix.ufl
@@ -24,10 +28,11 @@ from .batches import Batch
 from .compilation import compiled
 from .differentiation import expanded, nodes
 from .entities import with_owned_entities
-from .native.library import element_library
+from .native.library import element_library, measured
 from .quadrature import with_quadrature
 
 ALIGNED = 64  # bytes: the largest vector register
+REPEATS = 5  # of a measurement, of which the shortest counts
 
 
 class Moduli:
@@ -71,6 +76,29 @@ class Moduli:
         for rule in self.rules:
             rule.multiply(x, y)
 
+    def seconds_over(self, mult: Callable[[], float], comm: MPI.Comm) -> float:
+        """Time of a product over that of one with a matrix, measured once on this CPU. Collective.
+
+        Args:
+            mult: Function that does one with the rank's own part of a matrix, and takes its time.
+            comm: Communicator.
+        """
+        return measured(
+            comm, f"products {[rule.text for rule in self.rules]}", lambda: self._over(mult)
+        )
+
+    def _over(self, mult: Callable[[], float]) -> float:
+        self.fill()
+        x = np.ones(self.rules[0].size)
+        y = np.zeros_like(x)
+
+        def product() -> float:
+            start = time.perf_counter()
+            self.multiply(x, y)
+            return time.perf_counter() - start
+
+        return min(product() for _ in range(REPEATS)) / min(mult() for _ in range(REPEATS))
+
     def add(self, target: Any) -> int:
         """Add the tangent at the present state to the arrays of an insertion. Local.
 
@@ -105,7 +133,9 @@ class _Rule:
 
         self._batch = Batch(ufl.Form(integrals), derived)
         points = basix.make_quadrature(cell, degree)[0]
-        self._lib, self._ffi = element_library(mesh.comm, _text(V, points))
+        self.text = _text(V, points)
+        self._lib, self._ffi = element_library(mesh.comm, self.text)
+        self.size = (V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * V.dofmap.bs
         self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
         table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh), np.int32)
         self._geometry = self._ffi.new("geometry_t *")

@@ -16,6 +16,7 @@ from variform import forms, meshes
 from variform.forms import energies
 from variform.forms.moduli import Moduli, split
 from variform.forms.native import jit
+from variform.forms.native.library import measured
 
 # Of 11 cells: lanes that are full and that are not, whatever the width.
 CELLS = 11
@@ -181,6 +182,30 @@ def test_moduli_are_those_of_the_last_fill():
     after = fem.assemble_matrix(forms.compiled(K)).to_dense() @ x
     assert product() == pytest.approx(after, abs=1e-14 * np.abs(after).max())
     assert np.abs(after - before).max() > 1e-3 * np.abs(after).max()
+
+
+def test_what_is_measured_is_measured_once(tmp_path, monkeypatch):
+    """Runs on one CPU decide alike: the first one's measurement is kept beside the kernels."""
+    monkeypatch.setattr(jit, "folder", lambda: tmp_path)
+    times = iter([0.25, 0.5])
+    for name, number in (("one", 0.25), ("one", 0.25), ("other", 0.5), ("one", 0.25)):
+        assert measured(MPI.COMM_SELF, name, lambda: next(times)) == number
+
+
+def test_products_that_cost_more_are_done_with_the_matrix(monkeypatch):
+    """Where products by moduli are twice as dear, none are used; the solution is the same."""
+    ends = {}
+    for over in (0.5, 2.0):
+        monkeypatch.setattr(Moduli, "seconds_over", lambda *_, over=over: over)
+        body = meshes.block(MPI.COMM_SELF, (2.0, 1.0, 1.0), n=(8, 5, 5))
+        u = forms.displacement(body, 2)
+        psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+        held = [forms.clamp(u, body.facets("left")), forms.translate(u, body.facets("right"), (0.3, 0, 0))]
+        problem = forms.Problem(psi, u, held)
+        forms.solve(problem, rtol=1e-11)
+        ends[over] = u.x.array.copy()
+        assert (problem.solver[1].tangent._action is None) == (over > 1.5)
+    assert ends[0.5] == pytest.approx(ends[2.0], abs=1e-9 * np.abs(ends[2.0]).max())
 
 
 def test_a_release_with_other_trees_gets_ffcx_s_own_kernels(monkeypatch):

@@ -159,6 +159,32 @@ def cells_library(comm: MPI.Comm, name: str, text: Callable[[], str]) -> tuple[A
     return _made(comm, name, text, _CELLS, "cells")
 
 
+def measured(comm: MPI.Comm, name: str, measure: Callable[[], float]) -> float:
+    """A number that was measured once on this CPU, so that all runs decide alike. Collective.
+
+    Args:
+        comm: Communicator.
+        name: What was measured.
+        measure: Function that measures it on rank 0, called where it is not in the cache.
+    """
+    path = _path(tuple(jit.flags(comm)), name).with_suffix(".txt")
+
+    def write(folder: Path) -> Path:
+        made = folder / path.name
+        made.write_text(repr(measure()))
+        return made
+
+    def read() -> float | None:
+        if comm.rank:
+            return None
+        make_once(path, write)
+        return float(path.read_text())
+
+    value = comm.bcast(jit.alike(comm, read, "a measurement"))
+    assert value is not None
+    return float(value)
+
+
 def _made(
     comm: MPI.Comm, name: str, text: Callable[[], str], declarations: str, kind: str
 ) -> tuple[Any, Any]:

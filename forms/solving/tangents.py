@@ -82,6 +82,9 @@ class Tangent:
         matrix_free &= products is None or not dependents(products)
         matrix_free &= len(self.problem.terms) == 1
         self._action = Action(self.problem, self.A) if matrix_free else None
+        if self._action is not None and not self._action.pays():
+            self._action.destroy()
+            self._action = None
         self._options.apply({**base, **preset})
         self._chosen = preset if own else {}
 

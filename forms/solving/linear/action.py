@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -12,6 +14,8 @@ from dolfinx.fem import petsc as fem_petsc
 
 from ...compilation import compiled
 from ...problems import Problem
+
+DEAREST = 1.5  # products without a matrix, over those with it, that still pay
 
 
 class Action:
@@ -45,6 +49,26 @@ class Action:
         self.matrix.setBlockSize(A.getBlockSize())
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, problem.symmetric)
         self.matrix.setUp()
+
+    def pays(self) -> bool:
+        """Whether it is worth while on this CPU: by moduli as measured, else always. Collective.
+
+        What it saves beside the products, assembling a tangent, is worth several of them.
+        """
+        if self._moduli is None:
+            return True
+        A, x = self._A.getDiagonalBlock(), self._A.getDiagonalBlock().createVecRight()
+        y = x.duplicate()
+
+        def mult() -> float:
+            start = time.perf_counter()
+            A.mult(x, y)
+            return time.perf_counter() - start
+
+        ratio = self._moduli.seconds_over(mult, self._problem.comm)
+        for vector in (x, y):
+            vector.destroy()
+        return ratio <= DEAREST
 
     def update(self) -> None:
         """Take the present state for that of products. Local."""
