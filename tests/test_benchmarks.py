@@ -23,6 +23,18 @@ def test_benchmark_of_operators_runs(run, tmp_path):
     assert (tmp_path / "results" / "operators.csv").stat().st_size > 1000
 
 
+def test_benchmark_of_moduli_runs(run, tmp_path):
+    """The same numbers as FFCx's at every element, and paths that take the same iterations."""
+    done = run("-m", "demos.benchmarks.moduli", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    single = [row for row in rows if "tangent" in row]
+    assert len(rows) == 17 and len(single) == 15
+    assert all(row["deviation"] < 1e-14 for row in single)
+    paths = [row for row in rows if "path" in row]
+    assert all(row["same"] and row["deviation"] < 1e-9 for row in paths)
+    assert (tmp_path / "results" / "moduli.csv").stat().st_size > 1000
+
+
 def test_benchmark_of_hard_cases_runs(run, tmp_path):
     """Five cheap ones: variform solves all, DOLFINx's Newton the two that its steps can reach.
 

@@ -200,7 +200,10 @@ def test_products_that_cost_more_are_done_with_the_matrix(monkeypatch):
         body = meshes.block(MPI.COMM_SELF, (2.0, 1.0, 1.0), n=(8, 5, 5))
         u = forms.displacement(body, 2)
         psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
-        held = [forms.clamp(u, body.facets("left")), forms.translate(u, body.facets("right"), (0.3, 0, 0))]
+        held = [
+            forms.clamp(u, body.facets("left")),
+            forms.translate(u, body.facets("right"), (0.3, 0, 0)),
+        ]
         problem = forms.Problem(psi, u, held)
         forms.solve(problem, rtol=1e-11)
         ends[over] = u.x.array.copy()

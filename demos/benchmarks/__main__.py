@@ -11,6 +11,7 @@ import time
 
 NAMES = (
     "operators",
+    "moduli",
     "misprints",
     "hard_cases",
     "fidelity",
