@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from petsc4py import PETSc
+
 import basix
 import numpy as np
 import ufl
@@ -38,13 +40,14 @@ class Surface:
         edges, faces: Numbers of points; no faces in the plane.
         map: Displacements of the points from those of the nodes, sparse, shape (n, nodes).
         dofs: Global numbers of the nodes' degrees of freedom, shape (nodes, dim).
+        comm: Communicator of the mesh.
     """
 
     def __init__(
         self, u: fem.Function, field: Field, measures: Sequence[ufl.Measure], parts: int
     ) -> None:
         self._u, mesh, dim = u, u.function_space.mesh, u.function_space.mesh.geometry.dim
-        comm = mesh.comm
+        self.comm = comm = mesh.comm
         found = [self._facets(field, measure, parts) for measure in measures]
         gathered = [piece for pieces in comm.allgather(found) for piece in pieces]
         X = np.concatenate([piece[0] for piece in gathered])
@@ -102,7 +105,7 @@ class Surface:
         """Displacements of the points, from an array of the unknown, alike on all ranks."""
         total = np.zeros(self.dofs.shape)
         total[self._mine] = values[self._local]
-        return self.map @ self._u.function_space.mesh.comm.allreduce(total)
+        return self.map @ self.comm.allreduce(total)
 
     def places(self) -> Array:
         """Places of the points at u. Collective."""
@@ -113,17 +116,19 @@ class Surface:
         at_nodes = self.map.T @ forces.reshape(self.points.shape)
         return self._local.ravel(), at_nodes[self._mine].ravel()
 
-    def own_stiffness(self, H: Any) -> tuple[Array, Array, Array]:
-        """Rows of a stiffness between points that this rank has, as triplets of global numbers."""
-        import scipy.sparse
+    def stiffness(self, H: Any, A: PETSc.Mat) -> PETSc.Mat:
+        """Matrix of A's layout from a stiffness between the points. Collective."""
+        import scipy.sparse  # takes its time, and is for contact only
 
         dim = self.points.shape[1]
         spread = scipy.sparse.kron(self.map, scipy.sparse.identity(dim), format="csr")
-        K = (spread.T @ H @ spread).tocsr()
         rows = (self._mine[:, None] * dim + np.arange(dim)).ravel()
-        part = K[rows].tocoo()
-        names = self.dofs.ravel()
-        return names[rows[part.row]], names[part.col], part.data
+        part = (spread.T @ H @ spread).tocsr()[rows].tocoo()
+        names, first = self.dofs.ravel(), A.getOwnershipRange()[0]
+        places = names[rows[part.row]] - first, names[part.col]
+        K = scipy.sparse.csr_matrix((part.data, places), shape=A.getSizes()[0])
+        csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
+        return PETSc.Mat().createAIJ(A.getSizes(), csr=csr, comm=self.comm)
 
 
 def _global(V: fem.FunctionSpace, dofs: Array) -> Array:
