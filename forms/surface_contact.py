@@ -36,6 +36,8 @@ class Touching:
     IPC's barrier; see :func:`touching`.
 
     Attributes:
+        name: Of the contact.
+        measures: Where it acts.
         surface: Points and pieces.
         dhat: Reach [m].
         stiffness: Pressure scale [Pa].
@@ -47,7 +49,14 @@ class Touching:
     couples = True
 
     def __init__(
-        self, u: Expr, ds: Any, dhat: float | None, stiffness: float, thickness: float, parts: Any
+        self,
+        u: Expr,
+        ds: Any,
+        dhat: float | None,
+        stiffness: float,
+        thickness: float,
+        parts: Any,
+        name: str,
     ) -> None:
         self.ipc = _ipctk()
         w, field = field_of(u, "contact")
@@ -61,7 +70,7 @@ class Touching:
         ]
         smallest = min(sizes(mesh, each)[0] for each in measures)
         if parts is None:
-            parts = 3 if field.degree == 1 else 8 if mesh.topology.dim == 2 else 4
+            parts = 3 if field.degree == 1 else 4
         if not isinstance(parts, int) or parts < 1:
             raise ValueError(f"parts of contact is a whole number of at least 1, got {parts}.")
         dhat = FINE * smallest / parts if dhat is None else dhat
@@ -78,6 +87,7 @@ class Touching:
             raise ValueError(f"a thickness is not negative, got {thickness}.")
         self.dhat, self.stiffness, self.thickness = float(dhat), float(stiffness), float(thickness)
         self.unknown, self._comm = w, mesh.comm
+        self.name, self.measures = name, tuple(measures)
         self.surface = Surface(w, field, measures, parts)
         ipc, surface = self.ipc, self.surface
         self.mesh = ipc.CollisionMesh(surface.points, surface.edges, surface.faces)
@@ -150,6 +160,17 @@ class Touching:
         g = self.potential.gradient(self._pairs, self.mesh, self._x)
         return np.asarray(g).reshape(self._x.shape)
 
+    def gaps(self) -> NDArray:
+        """Distance of each point's pieces to others, less the thickness [m]; dhat where farther."""
+        found = np.full(len(self._x), self.dhat)
+        pieces = self.mesh.edges, self.mesh.faces
+        for k in range(len(self._pairs)):
+            pair = self._pairs[k]
+            ids = [i for i in pair.vertex_ids(*pieces) if i >= 0]
+            d = float(np.sqrt(pair.compute_distance(self._x, *pieces)))
+            found[ids] = np.minimum(found[ids], d - self.thickness)
+        return found
+
     def residual(self, b: PETSc.Vec) -> None:
         """Add the derivative of the energy. Collective."""
         numbers, values = self.surface.own_forces(self.forces())
@@ -220,6 +241,7 @@ def touching(
     dhat: float | None = None,
     thickness: float = 0.0,
     parts: int | None = None,
+    name: str = "surfaces",
 ) -> Touching:
     """Contact of surfaces with each other and with themselves. Collective.
 
@@ -234,7 +256,8 @@ def touching(
         thickness: Distance that is kept from middle to middle of sheets [m].
         parts: Parts of each edge of a facet, flat pieces between points, among which forces are
             shared out by area: more of them make the pressure smoother. By default 3 for linear
-            elements, and for others 8 in the plane and 4 in space.
+            elements, and 4 for others.
+        name: By which :mod:`forms.contact` finds it.
 
     Returns:
         Term to be passed in a list with the potential, ``[psi * ufl.dx, term]``. All ranks know the
@@ -244,7 +267,7 @@ def touching(
         ImportError: ipctk is missing.
         ValueError: an argument of the wrong kind, or dhat larger than the smallest facet.
     """
-    return Touching(u, ds, dhat, stiffness, thickness, parts)
+    return Touching(u, ds, dhat, stiffness, thickness, parts, name)
 
 
 def _ipctk() -> Any:
