@@ -226,8 +226,9 @@ class Touching:
         self._last = self.surface.places()
 
     def rollback(self) -> None:
-        """Return to the last accepted state. Collective."""
+        """Take the present state, the last accepted one, for where the next way begins."""
         self.prepare()
+        self._last = self._x
 
     def history(self) -> dict[str, NDArray]:
         """Nothing besides the unknown."""

@@ -158,6 +158,27 @@ def test_a_block_slides_on_a_meshed_slope(scheme, dim):
     assert path.ledger.missed < 1e-3 * path.ledger.exchanged and contact.certified()
 
 
+def test_a_motion_with_friction_is_taken_up(tmp_path):
+    """Broken off while it slides, it goes on as the uninterrupted one: bit by bit."""
+    ends, runs = [], []
+    for stop in (None, 40):
+        for _ in range(1 if stop is None else 2):
+
+            def breaks(path, stop=stop):
+                if stop is not None and len(path.steps) == stop and path.resumed is None:
+                    raise KeyboardInterrupt
+
+            options = {"checkpoint": forms.Checkpoint(tmp_path / str(stop), every=1)}
+            try:
+                _, _, path = slide(1.5, 0.02, 1e-6, "bdf2", 1e-3, on_step=breaks, **options)
+            except KeyboardInterrupt:
+                continue
+        ends.append(path.u.x.array.copy())
+        runs.append([row.dissipated for row in path.ledger])
+    assert path.resumed is not None and 0 < path.resumed < 0.02
+    assert np.array_equal(ends[0], ends[1]) and runs[0] == runs[1] and runs[0][-1] > 0
+
+
 def test_bad_input_of_friction_of_surfaces():
     """A mu in UFL, a tool, a contact that is not in the potential."""
     body = two_blocks(MPI.COMM_SELF)

@@ -53,7 +53,7 @@ exec(STACK)  # the same text goes to programs on several ranks
 stack = globals()["stack"]
 
 
-def pressed(comm, below, above, dhat, degree=1, dim=2, parts=None, by=0.1):
+def pressed(comm, below, above, dhat, degree=1, dim=2, parts=None, by=0.1, **options):
     """The stack pressed together between rollers, so that all stress is uniform."""
     body = stack(comm, below, above, 0.5 * dhat, dim)
     t, u = forms.load_factor(body), forms.displacement(body, degree)
@@ -64,7 +64,7 @@ def pressed(comm, below, above, dhat, degree=1, dim=2, parts=None, by=0.1):
     held.append(forms.roller(u, body.facets("low end"), dim - 1))
     down = [None] * (dim - 1) + [-by * t]
     held.append(forms.translate(u, body.facets("up end"), down))
-    return body, term, forms.follow([psi, term], u, held, t, progress=False)
+    return body, term, forms.follow([psi, term], u, held, t, progress=False, **options)
 
 
 def deviation(body, path):
@@ -292,6 +292,41 @@ def test_a_thrown_block_lands_on_a_soft_one():
     V = path.velocity.x.array.reshape(-1, 2)[:, 1]
     low = u.function_space.tabulate_dof_coordinates()[:, 1] < 1.05
     assert V[low].mean() < -0.5 and V[~low].mean() > -0.5
+
+
+def test_a_path_of_surfaces_is_taken_up(tmp_path):
+    """Broken off after contact has begun, it goes on as the uninterrupted one: bit by bit."""
+    ends, runs = [], []
+    for stop in (None, 6):
+        for _ in range(1 if stop is None else 2):
+
+            def breaks(path, stop=stop):
+                if stop is not None and len(path.steps) == stop and path.resumed is None:
+                    assert path.problem.terms[1].near()
+                    raise KeyboardInterrupt
+
+            options = {"checkpoint": forms.Checkpoint(tmp_path / str(stop), every=1)}
+            try:
+                _, _, path = pressed(MPI.COMM_SELF, 3, 4, 0.02, on_step=breaks, **options)
+            except KeyboardInterrupt:
+                continue
+        ends.append(path.u.x.array.copy())
+        runs.append([step.load for step in path.steps])
+    assert path.resumed is not None and path.resumed < 1
+    assert np.array_equal(ends[0], ends[1]) and runs[0] == runs[1]
+
+
+def test_ways_begin_at_the_last_accepted_state():
+    """Where a path is taken up its way begins there, not where the run began, beyond a surface."""
+    body = stack(MPI.COMM_SELF, 2, 3, 0.1)
+    u = forms.displacement(body)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.02)
+    problem = forms.Problem([psi, term], u, [forms.clamp(u, body.facets("low end"))])
+    u.interpolate(lambda x: np.stack([0 * x[0], -3.0 * (x[1] > 1.05)]))  # to the other side
+    assert problem.crossed() == "surfaces would pass each other"
+    problem.rollback()
+    assert problem.crossed() == ""
 
 
 def test_bad_input_of_surfaces():
