@@ -216,6 +216,10 @@ class Touching:
     def near(self) -> bool:
         """Whether any pair is nearer than dhat at u. Collective."""
         self.prepare()
+        return self.joins()
+
+    def joins(self) -> bool:
+        """Whether its tangent has entries at the state that was prepared. Collective."""
         return bool(self._comm.bcast(not self._pairs.empty(), root=0))
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:

@@ -120,6 +120,10 @@ class Sliding:
         H = self._potential.hessian(self._pairs, self._contact.mesh, self._v, project)
         return self._surface.stiffness(self._factor * float(self._b.value) ** 2 * H, A)
 
+    def joins(self) -> bool:
+        """Whether its tangent has entries at the state that was prepared. Collective."""
+        return bool(self._surface.comm.bcast(not self._pairs.empty(), root=0))
+
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
         """Nothing: it has entries where A has none, see :meth:`coupling`."""
 

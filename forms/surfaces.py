@@ -152,7 +152,7 @@ class Surface:
         places = names[rows[part.row]] - first, names[part.col]
         K = scipy.sparse.csr_matrix((part.data, places), shape=A.getSizes()[0])
         csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
-        return PETSc.Mat().createAIJ(A.getSizes(), csr=csr, comm=self.comm)
+        return PETSc.Mat().createAIJ(A.getSizes(), A.getBlockSize(), csr=csr, comm=self.comm)
 
 
 def _global(V: fem.FunctionSpace, dofs: Array) -> Array:

@@ -346,6 +346,9 @@ def test_bad_input_of_surfaces():
     ):
         with pytest.raises(ValueError, match=words):
             forms.touching(u, faces, **options)
+    round_ = forms.energies.neo_hookean(forms.axisymmetric(u), 1.0, 2.0) * forms.circumference(u)
+    with pytest.raises(ValueError, match="contact of surfaces knows no bodies of revolution"):
+        forms.Problem([round_ * ufl.dx, forms.touching(u, faces, stiffness=1.0)], u)
     with pytest.raises(ValueError, match="contact needs a measure"):
         forms.touching(u, body.facets("side 0"), stiffness=1.0)
     term = forms.touching(u, faces, stiffness=1.0)
