@@ -12,6 +12,8 @@ import ufl
 from conftest import scripts
 from dolfinx import fem
 
+from demos.benchmarks import self_contact
+from demos.benchmarks.self_contact import crossings
 from variform import forms, meshes
 from variform.forms import contact
 
@@ -358,3 +360,32 @@ def test_bad_input_of_surfaces():
     place = re.search(r"\((\S+), (\S+)\)", str(caught.value))
     assert abs(float(place[2]) - 0.975) < 0.1  # where they do, and not somewhere
     assert t is not None
+
+
+def test_triangles_that_cross_are_found():
+    """One through another, beside it, above it; corners in common do not count."""
+    a = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    two = np.array([[0, 1, 2], [3, 4, 5]])
+    right, up = np.array([1.0, 1, 0]), np.array([0, 0, 0.6])
+    through = np.array([[0.2, 0.2, -0.5], [0.3, 0.2, 0.5], [0.2, 0.3, 0.5]])
+    for b, found in ((through, 1), (through + right, 0), (through + up, 0), (a, 0)):
+        assert crossings(np.r_[a, b], two) == found
+    assert crossings(np.r_[a, through[1:]], np.array([[0, 1, 2], [0, 3, 4]])) == 0
+
+
+@pytest.mark.slow
+def test_a_cloth_is_folded_twice():
+    """In motion, in four layers: nothing crosses by a check of its own, no triangle vanishes."""
+    watch, path = self_contact.cloth(n=8, time=6.0)
+    assert path.completed and path.steps[-1].load == 6.0
+    assert watch.crossed == 0 and watch.least > 0.5 and watch.touching > 50
+    x = watch.term.surface.places()
+    assert np.ptp(x[:, 0]) < 0.6 and np.ptp(x[:, 1]) < 0.6  # a quarter of what it was
+
+
+@pytest.mark.slow
+def test_a_twisted_bar_writhes():
+    """Four turns while its ends approach: it touches itself, crosses nowhere, and J > 0."""
+    watch, path = self_contact.bar(h=0.1, time=10.0, to=8.2, parts=2)
+    assert path.completed and path.steps[-1].load == 8.2
+    assert watch.crossed == 0 and watch.least > 0 and watch.touching > 10

@@ -24,6 +24,7 @@ NAMES = (
     "validity",
     "motion",
     "contact",
+    "self_contact",
     "sensitivities",
 )
 
