@@ -250,6 +250,7 @@ import json
 from mpi4py import MPI
 import ufl
 from variform import forms
+from variform.forms import contact
 
 body = stack(MPI.COMM_WORLD, 3, 4, 0.01, dim=3)
 t, u = forms.load_factor(body), forms.displacement(body)
@@ -260,18 +261,31 @@ held.append(forms.translate(u, body.facets("up end"), (0.03 * t, 0, -0.1 * t)))
 path = forms.follow([psi, term], u, held, t, rtol=1e-11, ctol=1e-9, progress=False)
 force, _ = forms.resultant(path, body.facets("up end"))
 place = forms.at(u, (1.0, 1.0, 1.0))
+own = contact.force(path, body.facets("up face"))
+p, g = contact.pressure(path), contact.gap(path)
+fields = [forms.integral(f * body.ds(s)) for f in (p, g) for s in ("up face", "low face")]
+# Pushed on along the face, with friction.
+upper = ufl.gt(ufl.SpatialCoordinate(body.mesh)[2], 1.005)
+V = ufl.as_vector([ufl.conditional(upper, 1.0, 0.0), 0, 0])
+t.value, held = 1.0, [forms.clamp(u, body.facets("low end"))]
+free = forms.transient(
+    [psi, term], u, held, t, to=1.02, dt=0.004, rho=1.0, velocity=V, rtol=1e-11, ctol=1e-9,
+    scheme="bdf2", dissipation=forms.friction(term, 0.3, 0.1), progress=False,
+)
+moved = forms.at(u, (1.0, 1.0, 1.01))
+lost = sum(row.dissipated for row in free.ledger)
 if MPI.COMM_WORLD.rank == 0:
-    print(json.dumps([*map(float, [*force, *place])]))
+    print(json.dumps([*map(float, [*force, *place, *own, *fields, *moved, lost])]))
 """
 )
 
 
 @pytest.mark.slow
 def test_ranks_agree_on_surfaces(run, tmp_path):
-    """1, 2 and 3 ranks: forces and places to 1e-8."""
+    """1, 2 and 3 ranks: forces, places, pressure, gap, a motion with friction: 1e-8."""
     start = scripts(run, tmp_path)
     one = start(RANKS, 1)
-    assert abs(one[2]) > 0.1
+    assert abs(one[2]) > 0.1 and one[-1] > 1e-4
     for ranks in (2, 3):
         assert start(RANKS, ranks) == pytest.approx(one, rel=1e-8, abs=1e-9)
 
