@@ -89,12 +89,13 @@ def recorder(on: str | NDArray[np.int32] | None = None) -> Any:
 def pressure(of: Any, name: str | None = None) -> fem.Function:
     """Contact pressure as a function, the L2 projection of the barrier's nodal forces.
 
-    int p q dA = int -b'(d) q dA, of surfaces sum |f| q over the forces f at their points, for all q
+    int p q dA = int -b'(d) q dA for all q; of surfaces p = t . n, int t . v dA = sum f . v
 
     on the boundaries where it acts, of the degree of the displacement. Point values of a barrier
     are not the pressure: where the boundary is coarse or curved they vary from point to point of a
     facet by as much as they are, and only their integrals balance. The projection goes beyond zero,
-    by some percent, beside the edge of contact.
+    by some percent, beside the edge of contact. f are the forces at the nodes, n the normals of the
+    deformed surface there.
 
     Args:
         of: Path or its problem; at present values.
@@ -102,7 +103,7 @@ def pressure(of: Any, name: str | None = None) -> fem.Function:
 
     Returns:
         Pressure [Pa] per reference area, a scalar of the whole body that is 0 away from the
-        boundary. Of a sheet that is pressed from both sides it is that of the difference.
+        boundary. Of a sheet it is the magnitude of t, the difference of what presses on its sides.
     """
     problem = _problem(of, "pressure")
     field = problem.displacement
@@ -123,8 +124,6 @@ def pressure(of: Any, name: str | None = None) -> fem.Function:
         form = _kept(problem, name, "pressure", lambda: _slopes(obstacles, v))
         fem_petsc.assemble_vector(b, form)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    for term in surfaces:
-        moments.x.array[:] += _put(problem, 0.0, term.surface.own_moments(term.forces()))[numbers]
     # Rows away from the boundary are empty, and so are the moments: CG leaves the values there 0.
     ksp = PETSc.KSP().create(problem.comm)
     ksp.setOperators(A)
@@ -132,6 +131,19 @@ def pressure(of: Any, name: str | None = None) -> fem.Function:
     ksp.getPC().setType("jacobi")
     ksp.setTolerances(rtol=1e-14, max_it=1000)
     ksp.solve(b, p.x.petsc_vec)
+    for term in surfaces:
+        # Not magnitudes at the points, whose signs alternate where dhat is longer than the pieces.
+        forces, traction = _put(problem, 0.0, term.surface.own_forces(term.forces())), []
+        for axis in range(field.components):
+            moments.x.array[:] = forces[numbers + axis]
+            t = fem.Function(V)
+            ksp.solve(b, t.x.petsc_vec)
+            traction.append(t.x.array.copy())
+        vectors = np.stack(traction, axis=1)
+        if V.mesh.topology.dim < field.components:
+            p.x.array[:] += np.linalg.norm(vectors, axis=1)
+        else:
+            p.x.array[:] += np.sum(vectors * _normals(problem, V, name, where), axis=1)
     p.x.scatter_forward()
     for item in (ksp, A):
         item.destroy()
@@ -237,6 +249,37 @@ def _space(problem: Problem) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
     if "space" not in kept:
         kept["space"] = _dolfinx.collapse(field.view.sub(0))
     return kept["space"]
+
+
+def _normals(problem: Problem, V: fem.FunctionSpace, name: str | None, where: Any) -> NDArray:
+    """Unit normals of the deformed boundary at the nodes of scalars V, shape (n, dim). Collective.
+
+    Areas int cof F N q dA of the linear elements' functions q, which all are positive.
+    """
+    kept, field, mesh = problem.__dict__.setdefault("_contact", {}), problem.displacement, V.mesh
+    assert field is not None
+    dim = field.components
+    if "linear" not in kept:
+        kept["linear"] = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+    F = ufl.Identity(dim) + ufl.grad(field.expression)
+    area = ufl.det(F) * ufl.inv(F).T * ufl.FacetNormal(mesh)
+    v = ufl.TestFunction(kept["linear"])
+
+    def areas() -> ufl.Form:
+        return sum(ufl.inner(area, v) * ds(degree=2 * field.degree) for ds in _union(mesh, where))
+
+    A, n = fem.Function(kept["linear"]), fem.Function(V)
+    b = A.x.petsc_vec
+    fem_petsc.assemble_vector(b, _kept(problem, name, "areas", areas))
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    A.x.scatter_forward()
+    found = []
+    for axis in range(dim):
+        n.interpolate(A.sub(axis).collapse())
+        n.x.scatter_forward()
+        found.append(n.x.array.copy())
+    normals = np.stack(found, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
 
 def _put(problem: Problem, rest: float, own: tuple[NDArray, NDArray]) -> NDArray:

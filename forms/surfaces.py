@@ -122,15 +122,6 @@ class Surface:
         at_nodes = self.map.T @ forces.reshape(self.points.shape)
         return self._local.ravel(), at_nodes[self._mine].ravel()
 
-    def own_moments(self, forces: Array) -> tuple[Array, Array]:
-        """Magnitudes of forces at the points, shared out to this rank's nodes.
-
-        Returns:
-            Numbers of the nodes' first components, and the values.
-        """
-        at_nodes = self.map.T @ np.linalg.norm(forces.reshape(self.points.shape), axis=1)
-        return self._local[:, 0], at_nodes[self._mine]
-
     def own_values(self, values: Array) -> tuple[Array, Array]:
         """Values at the points, as this rank's nodes have them, each from its nearest point.
 

@@ -159,7 +159,7 @@ def test_pressure_gap_and_force_of_stacked_blocks(degree, dim):
     p, g = contact.pressure(path), contact.gap(path, "surfaces")
     for side in ("up face", "low face"):
         load = forms.integral(p * body.ds(side))
-        assert load == pytest.approx(-up[dim - 1], rel=1e-4)  # magnitudes, which tilt a little
+        assert load == pytest.approx(-up[dim - 1], rel=1e-4)  # the faces tilt a little
         assert forms.integral((p / load - 1) ** 2 * body.ds(side)) < 0.03**2
         gaps = forms.integral(g * body.ds(side))
         x = term.surface.places()[:, dim - 1]
@@ -171,6 +171,15 @@ def test_pressure_gap_and_force_of_stacked_blocks(degree, dim):
         contact.pressure(path, "floor")
     with pytest.raises(ValueError, match="contact.clearance needs a problem with an obstacle"):
         contact.clearance(path)
+
+
+def test_pressure_where_dhat_is_longer_than_the_pieces():
+    """Forces at the points alternate there; pressure is force over area all the same: 1 %."""
+    body, _, path = pressed(MPI.COMM_SELF, 8, 13, 0.035, by=0.04)
+    up = contact.force(path, body.facets("up face"))[1]
+    for side in ("up face", "low face"):
+        load = forms.integral(contact.pressure(path) * body.ds(side))
+        assert load == pytest.approx(-up, rel=1e-2)  # of wavy faces
 
 
 def test_a_state_in_which_surfaces_cross_is_no_solution(monkeypatch):

@@ -231,8 +231,9 @@ def picture(ends):
     figure = Figure((10, 4), 130, layout="constrained")
     for k, (words, surface) in enumerate(ends.items()):
         axes = figure.add_subplot(1, len(ends), k + 1, projection="3d")
-        x, light = surface.places(), {"shade": True, "facecolors": f"C{k}", "edgecolors": "none"}
-        axes.add_collection3d(Poly3DCollection(x[surface.faces], **light))
+        x = surface.places()
+        shown = Poly3DCollection(x[surface.faces], shade=True, facecolors=f"C{k}")
+        axes.add_collection3d(shown)
         low, high = x.min(axis=0), x.max(axis=0)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         axes.set_box_aspect(np.maximum(high - low, 0.05))
