@@ -17,6 +17,7 @@ from .dissipation import Dissipation
 from .inertia import Inertia
 from .quadrature import with_quadrature
 from .schemes import Scheme, Strain
+from .surface_friction import Sliding, SurfaceFriction
 from .unknowns import Field
 
 
@@ -38,7 +39,7 @@ class Increment:
         last, before: u at the last accepted time, and at the one before.
         lag: Where dissipations lag.
         lags: Whether one does.
-        forms: What is added to the potential.
+        forms, terms: What is added to the potential.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Increment:
         velocity: fem.Function,
         inertia: Inertia,
         scheme: Scheme,
-        dissipations: Sequence[Dissipation],
+        dissipations: Sequence[Dissipation | SurfaceFriction],
         thickness: Expr,
         around: Expr,
     ) -> None:
@@ -63,12 +64,16 @@ class Increment:
         )
         self._strain = [_constant(mesh) for _ in range(5)]
         self.lags = any(each.lags for each in dissipations)
-        found = [self._dissipated(each, self._density(each)) for each in dissipations]
+        written = [each for each in dissipations if isinstance(each, Dissipation)]
+        found = [self._dissipated(each, self._density(each)) for each in written]
         rates = [both for both in found if both is not None]
         own = [inertia.form(field.expression - self._part(self.start), self._c)]
         own += [form for form, _ in rates]
         self.forms = [with_quadrature(form, field.degree) for form in own]
         self._powers = [compiled(with_quadrature(power, field.degree)) for _, power in rates]
+        step = self._b, self._inverse, self.drift, self.lag
+        pairs = [each for each in dissipations if isinstance(each, SurfaceFriction)]
+        self.terms = [Sliding(each, *step) for each in pairs]
         self._comm = mesh.comm
 
     def assign(self, c: float, b: float, strain: Strain) -> None:
@@ -98,7 +103,8 @@ class Increment:
     def dissipated_power(self) -> float:
         """phi'(rate) : rate at the present state [W]. Collective."""
         own = sum(fem.assemble_scalar(power) for power in self._powers)
-        return float(self._comm.allreduce(own)) if self._powers else 0.0
+        total = float(self._comm.allreduce(own)) if self._powers else 0.0
+        return total + sum(term.power() for term in self.terms)
 
     def _density(self, each: Dissipation) -> Callable[[Expr], ufl.Form]:
         """How the density of a dissipation is integrated."""

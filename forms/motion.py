@@ -25,6 +25,7 @@ from .prescribed import PrescribedMotion
 from .problems import Problem
 from .schemes import Scheme, Weights
 from .supports import Support
+from .surface_friction import SurfaceFriction
 from .unknowns import displacement_field
 from .variation import residual
 
@@ -111,7 +112,7 @@ class Motion:
         arguments = [p for p in parts if isinstance(p, ufl.Form) and p.arguments()]
         if arguments:  # a residual has no energy for them to be added to
             own = [residual(form, u) for form in own]
-        self.problem = Problem([*parts, *own], u, supports, virtual_work)
+        self.problem = Problem([*parts, *own, *added.terms], u, supports, virtual_work)
         self.problem.motion = self
         self.held = PrescribedMotion(self.problem, t)
         self._vector = self.problem.create_vector()
@@ -125,10 +126,15 @@ class Motion:
 
     def _check(self, parts: Sequence[Any], listed: Sequence[Any], rho: Any) -> None:
         for each in listed:
-            if not isinstance(each, Dissipation):
+            if not isinstance(each, Dissipation | SurfaceFriction):
                 raise ValueError(
                     "dissipation takes what forms.dissipation returns, as kelvin_voigt(eta), got "
                     f"{type(each).__name__}."
+                )
+            if isinstance(each, SurfaceFriction) and each.contact not in parts:
+                raise ValueError(
+                    "friction acts in a contact of the potential, got one of surfaces that is not "
+                    "in it: pass [psi * ufl.dx, contact]."
                 )
         if rho is None:
             raise ValueError("a motion needs the mass density, rho = 1000.0 [kg/m^3], got none.")

@@ -17,6 +17,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from . import _checks, _petsc
+from .kinematics import is_revolved
 from .supports import Support
 from .terms import FormTerm, Term
 from .unknowns import Field, displacement_field, fields_of
@@ -47,6 +48,7 @@ class Problem:
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
         solver: What a solver keeps with the problem; None before the first solve.
         motion: The :class:`forms.motion.Motion` that it is a step of; None in statics.
+        repatterned: Whether the last tangent may have another pattern than the one before.
 
     Raises:
         ValueError: a form of the wrong kind, one that does not contain u or contains a part of it
@@ -65,11 +67,18 @@ class Problem:
         self.u, self.supports = u, _listed(supports, u)
         self.solver: Any = None
         self._uncoupled: PETSc.Mat | None = None
+        self._joined: set[int] = set()
+        self.repatterned = False
         self.motion: Any = None
         potential, others = _parted(potential)
         _check_parts(potential, u)
         self.forms = FormTerm(potential, u, degree, virtual_work, self.conditions)
         self.terms: tuple[Term, ...] = (self.forms, *others)
+        if self.couples and is_revolved(self.forms.potential):
+            raise ValueError(
+                "contact of surfaces knows no bodies of revolution, got one: take forms.obstacle, "
+                "or a sector of the body in space."
+            )
         self.forms.set_stiffness()
         self.symmetric = self.forms.symmetric
         curvatures = {f.role.curvature for f in self.fields.values()}
@@ -148,6 +157,7 @@ class Problem:
     def create_matrix(self) -> PETSc.Mat:
         """PETSc AIJ matrix for the tangent; marked symmetric where it is."""
         A = self.forms.create_matrix()
+        self._joined.discard(A.handle)
         if self.symmetric:
             A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             A.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -207,15 +217,22 @@ class Problem:
         return any(getattr(term, "couples", False) for term in self.terms)
 
     def _coupled_tangent(self, A: PETSc.Mat, projected: bool) -> None:
-        """Assemble into a matrix of the forms' own pattern, add what couples, and put it in A."""
+        """Assemble as ever where nothing is joined; else a sum, of a pattern of its own."""
+        coupled: list[Any] = [term for term in self.terms if getattr(term, "couples", False)]
+        coupled = [term for term in coupled if term.joins()]
+        self.repatterned = bool(coupled) or A.handle in self._joined
+        if not self.repatterned:
+            for term in self.terms:
+                term.tangent(A, projected)
+            return
         if self._uncoupled is None:
             self._uncoupled = self.forms.create_matrix()
         for term in self.terms:
             term.tangent(self._uncoupled, projected)
-        coupled: list[Any] = [term for term in self.terms if getattr(term, "couples", False)]
         couplings = [term.coupling(A, projected) for term in coupled]
         kept = A.getNearNullSpace()
         _petsc.replace_by_sum(A, [self._uncoupled, *couplings])
+        self._joined.add(A.handle)
         for coupling in couplings:
             coupling.destroy()
         if kept:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact of deformable surfaces, with each other and with themselves, without friction.
+"""Contact of deformable surfaces, with each other and with themselves; no friction here.
 
 A term of a potential: barriers between points, segments and triangles that come nearer than dhat,
 with exact derivatives, and continuous collision detection that lets no step pass a surface through
@@ -36,18 +36,29 @@ class Touching:
     IPC's barrier; see :func:`touching`.
 
     Attributes:
+        name: Of the contact.
+        measures: Where it acts.
         surface: Points and pieces.
         dhat: Reach [m].
         stiffness: Pressure scale [Pa].
+        unknown: The unknown.
+        ipc, mesh, potential: ipctk, and the surface and its barrier as ipctk has them.
         couples: True: its tangent joins nodes that no cell joins.
     """
 
     couples = True
 
     def __init__(
-        self, u: Expr, ds: Any, dhat: float | None, stiffness: float, thickness: float, parts: Any
+        self,
+        u: Expr,
+        ds: Any,
+        dhat: float | None,
+        stiffness: float,
+        thickness: float,
+        parts: Any,
+        name: str,
     ) -> None:
-        self._ipc = _ipctk()
+        self.ipc = _ipctk()
         w, field = field_of(u, "contact")
         if not field.is_displacement:
             raise ValueError(f"contact needs the displacement, got the field {field.name}.")
@@ -59,7 +70,7 @@ class Touching:
         ]
         smallest = min(sizes(mesh, each)[0] for each in measures)
         if parts is None:
-            parts = 3 if field.degree == 1 else 8 if mesh.topology.dim == 2 else 4
+            parts = 3 if field.degree == 1 else 4
         if not isinstance(parts, int) or parts < 1:
             raise ValueError(f"parts of contact is a whole number of at least 1, got {parts}.")
         dhat = FINE * smallest / parts if dhat is None else dhat
@@ -75,19 +86,18 @@ class Touching:
         if not (_checks.number(thickness) is not None and 0 <= thickness < np.inf):
             raise ValueError(f"a thickness is not negative, got {thickness}.")
         self.dhat, self.stiffness, self.thickness = float(dhat), float(stiffness), float(thickness)
-        self._u, self._comm = w, mesh.comm
+        self.unknown, self._comm = w, mesh.comm
+        self.name, self.measures = name, tuple(measures)
         self.surface = Surface(w, field, measures, parts)
-        ipc, surface = self._ipc, self.surface
-        self._mesh = ipc.CollisionMesh(surface.points, surface.edges, surface.faces)
+        ipc, surface = self.ipc, self.surface
+        self.mesh = ipc.CollisionMesh(surface.points, surface.edges, surface.faces)
         # The barrier has the unit of a pressure times a length, whatever dhat is.
-        self._potential = ipc.BarrierPotential(self.dhat, self.stiffness, True)
-        self._pairs = ipc.NormalCollisions()
-        self._pairs.use_area_weighting = True
-        self._pairs.collision_set_type = ipc.NormalCollisions.IMPROVED_MAX_APPROX
+        self.potential = ipc.BarrierPotential(self.dhat, self.stiffness, True)
         # Additive CCD: tight inclusion bisects parallel faces for minutes.
         self._ccd = ipc.AdditiveCCD()
         self._x: NDArray = np.empty((0, 0))
         self._last = surface.places()
+        self._pairs = ipc.NormalCollisions()
 
     def begin(self) -> None:
         """Take the present state for a start. Collective.
@@ -106,16 +116,16 @@ class Touching:
 
     def _crossing(self, x: NDArray) -> str:
         """Where surfaces cross, or are no further apart than the thickness; empty for nowhere."""
-        ipc = self._ipc
+        ipc = self.ipc
         pairs = ipc.NormalCollisions()
-        pairs.build(self._mesh, x, self.dhat, self.thickness)
+        pairs.build(self.mesh, x, self.dhat, self.thickness)
         least = np.inf
         if not pairs.empty():
-            least = float(np.sqrt(max(pairs.compute_minimum_distance(self._mesh, x), 0.0)))
-        bad = bool(ipc.has_intersections(self._mesh, x)) or not least > self.thickness
+            least = float(np.sqrt(max(pairs.compute_minimum_distance(self.mesh, x), 0.0)))
+        bad = bool(ipc.has_intersections(self.mesh, x)) or not least > self.thickness
         if not self._comm.bcast(bad, root=0):
             return ""
-        pieces = self._mesh.edges, self._mesh.faces
+        pieces = self.mesh.edges, self.mesh.faces
         near = sorted(
             (pairs[k].compute_distance(x, *pieces), k) for k in range(len(pairs))
         )  # where they cross they are nearest
@@ -128,20 +138,38 @@ class Touching:
         """Find the pairs that are near at the present state. Collective."""
         x = self.surface.places()
         if self._x.shape != x.shape or not np.array_equal(self._x, x):
-            self._x = x
-            self._pairs.build(self._mesh, x, self.dhat, self.thickness)
+            self._x, self._pairs = x, self.pairs_at(x)
+
+    def pairs_at(self, x: NDArray) -> Any:
+        """Pairs of pieces nearer than dhat, weighted by areas, where the points are at x; local."""
+        pairs = self.ipc.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.collision_set_type = self.ipc.NormalCollisions.IMPROVED_MAX_APPROX
+        pairs.build(self.mesh, x, self.dhat, self.thickness)
+        return pairs
 
     def energy(self) -> float:
         """Barrier energy [J]. Collective."""
         if not np.all(np.isfinite(self._x)):
             return np.inf
-        own = float(self._potential(self._pairs, self._mesh, self._x))
+        own = float(self.potential(self._pairs, self.mesh, self._x))
         return float(self._comm.bcast(own, root=0))
 
     def forces(self) -> NDArray:
         """Derivative of the energy by the points' places [N], shape (n, dim)."""
-        g = self._potential.gradient(self._pairs, self._mesh, self._x)
+        g = self.potential.gradient(self._pairs, self.mesh, self._x)
         return np.asarray(g).reshape(self._x.shape)
+
+    def gaps(self) -> NDArray:
+        """Distance of each point's pieces to others, less the thickness [m]; dhat where farther."""
+        found = np.full(len(self._x), self.dhat)
+        pieces = self.mesh.edges, self.mesh.faces
+        for k in range(len(self._pairs)):
+            pair = self._pairs[k]
+            ids = [i for i in pair.vertex_ids(*pieces) if i >= 0]
+            d = float(np.sqrt(pair.compute_distance(self._x, *pieces)))
+            found[ids] = np.minimum(found[ids], d - self.thickness)
+        return found
 
     def residual(self, b: PETSc.Vec) -> None:
         """Add the derivative of the energy. Collective."""
@@ -151,22 +179,15 @@ class Touching:
 
     def coupling(self, A: PETSc.Mat, projected: bool = False) -> PETSc.Mat:
         """Second derivative of the energy, of A's layout; a matrix of its own. Collective."""
-        import scipy.sparse  # takes its time, and is for contact only
-
-        ipc = self._ipc
+        ipc = self.ipc
         how = ipc.PSDProjectionMethod.CLAMP if projected else ipc.PSDProjectionMethod.NONE
-        H = self._potential.hessian(self._pairs, self._mesh, self._x, how)
-        rows, columns, values = self.surface.own_stiffness(H)
-        (own, total), first = A.getSizes()[0], A.getOwnershipRange()[0]
-        shape = own, total
-        local = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=shape)
-        csr = local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data
-        return PETSc.Mat().createAIJ(A.getSizes(), csr=csr, comm=self._comm)
+        H = self.potential.hessian(self._pairs, self.mesh, self._x, how)
+        return self.surface.stiffness(H, A)
 
     def largest_step(self, step: PETSc.Vec) -> float:
         """Fraction of a step before surfaces meet, nine tenths of it. Collective."""
         own = step.array_r
-        move = self.surface.gathered(np.pad(own, (0, len(self._u.x.array) - len(own))))
+        move = self.surface.gathered(np.pad(own, (0, len(self.unknown.x.array) - len(own))))
         x = self.surface.places()
         return self._free(x, np.asfortranarray(x + move))
 
@@ -174,7 +195,7 @@ class Touching:
         if not np.all(np.isfinite(to)):
             return 1.0
         how = self.thickness, None, self._ccd
-        found = self._ipc.compute_collision_free_stepsize(self._mesh, x, to, *how)
+        found = self.ipc.compute_collision_free_stepsize(self.mesh, x, to, *how)
         found = 1.0 if found >= 1 else KEPT * found
         return float(self._comm.bcast(found, root=0))
 
@@ -184,17 +205,21 @@ class Touching:
         if np.array_equal(x, self._last):
             return ""
         how = self.thickness, None, self._ccd
-        free = self._ipc.is_step_collision_free(self._mesh, self._last, x, *how)
+        free = self.ipc.is_step_collision_free(self.mesh, self._last, x, *how)
         return "" if self._comm.bcast(bool(free), root=0) else "surfaces would pass each other"
 
     def certified(self) -> bool:
         """Whether no two pieces cross at u, by a check that knows no way there. Collective."""
-        found = not self._ipc.has_intersections(self._mesh, self.surface.places())
+        found = not self.ipc.has_intersections(self.mesh, self.surface.places())
         return bool(self._comm.bcast(found, root=0))
 
     def near(self) -> bool:
         """Whether any pair is nearer than dhat at u. Collective."""
         self.prepare()
+        return self.joins()
+
+    def joins(self) -> bool:
+        """Whether its tangent has entries at the state that was prepared. Collective."""
         return bool(self._comm.bcast(not self._pairs.empty(), root=0))
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
@@ -205,8 +230,9 @@ class Touching:
         self._last = self.surface.places()
 
     def rollback(self) -> None:
-        """Return to the last accepted state. Collective."""
+        """Take the present state, the last accepted one, for where the next way begins."""
         self.prepare()
+        self._last = self._x
 
     def history(self) -> dict[str, NDArray]:
         """Nothing besides the unknown."""
@@ -220,8 +246,11 @@ def touching(
     dhat: float | None = None,
     thickness: float = 0.0,
     parts: int | None = None,
+    name: str = "surfaces",
 ) -> Touching:
-    """Contact of surfaces with each other and with themselves, without friction. Collective.
+    """Contact of surfaces with each other and with themselves. Collective.
+
+    :func:`forms.friction` of it is friction, in motions.
 
     Args:
         u: Displacement [m]; of a mixed unknown w["u"].
@@ -232,7 +261,8 @@ def touching(
         thickness: Distance that is kept from middle to middle of sheets [m].
         parts: Parts of each edge of a facet, flat pieces between points, among which forces are
             shared out by area: more of them make the pressure smoother. By default 3 for linear
-            elements, and for others 8 in the plane and 4 in space.
+            elements, and 4 for others.
+        name: By which :mod:`forms.contact` finds it.
 
     Returns:
         Term to be passed in a list with the potential, ``[psi * ufl.dx, term]``. All ranks know the
@@ -242,7 +272,7 @@ def touching(
         ImportError: ipctk is missing.
         ValueError: an argument of the wrong kind, or dhat larger than the smallest facet.
     """
-    return Touching(u, ds, dhat, stiffness, thickness, parts)
+    return Touching(u, ds, dhat, stiffness, thickness, parts, name)
 
 
 def _ipctk() -> Any:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from petsc4py import PETSc
+
 import basix
 import numpy as np
 import ufl
@@ -38,13 +40,14 @@ class Surface:
         edges, faces: Numbers of points; no faces in the plane.
         map: Displacements of the points from those of the nodes, sparse, shape (n, nodes).
         dofs: Global numbers of the nodes' degrees of freedom, shape (nodes, dim).
+        comm: Communicator of the mesh.
     """
 
     def __init__(
         self, u: fem.Function, field: Field, measures: Sequence[ufl.Measure], parts: int
     ) -> None:
         self._u, mesh, dim = u, u.function_space.mesh, u.function_space.mesh.geometry.dim
-        comm = mesh.comm
+        self.comm = comm = mesh.comm
         found = [self._facets(field, measure, parts) for measure in measures]
         gathered = [piece for pieces in comm.allgather(found) for piece in pieces]
         X = np.concatenate([piece[0] for piece in gathered])
@@ -77,12 +80,18 @@ class Surface:
     def _facets(self, field: Field, measure: ufl.Measure, parts: int) -> tuple[Array, ...]:
         """This rank's points, their weights and global degrees of freedom, and pieces; local."""
         V = self._u.function_space
-        lattice, pieces = _lattice(facet_type(V.mesh, measure), parts)
+        cell = facet_type(V.mesh, measure)
+        lattice, pieces = _lattice(cell, parts)
+        rule, shares = basix.make_quadrature(cell, 2 * field.degree)
+        inner = _inside(cell, lattice)
         X, weights, dofs = [], [], []
-        for x, N, local in points_on(self._u, field, measure, lattice):
+        for x, N, local in points_on(self._u, field, measure, np.concatenate([lattice, rule])):
+            x, N, means = x[:, : len(lattice)], N[: len(lattice)], shares @ N[len(lattice) :]
             X.append(x.reshape(-1, x.shape[-1]))
             dofs.append(np.repeat(_global(V, local), len(lattice), axis=0))
-            weights.append(np.tile(N, (len(x), 1)))
+            weights.append(
+                np.tile(_even(N, means / shares.sum(), lattice, pieces, inner), (len(x), 1))
+            )
         count = sum(len(x) for x in X) // len(lattice)
         cells = (np.arange(count)[:, None, None] * len(lattice) + pieces).reshape(
             -1, pieces.shape[1]
@@ -102,7 +111,7 @@ class Surface:
         """Displacements of the points, from an array of the unknown, alike on all ranks."""
         total = np.zeros(self.dofs.shape)
         total[self._mine] = values[self._local]
-        return self.map @ self._u.function_space.mesh.comm.allreduce(total)
+        return self.map @ self.comm.allreduce(total)
 
     def places(self) -> Array:
         """Places of the points at u. Collective."""
@@ -113,17 +122,28 @@ class Surface:
         at_nodes = self.map.T @ forces.reshape(self.points.shape)
         return self._local.ravel(), at_nodes[self._mine].ravel()
 
-    def own_stiffness(self, H: Any) -> tuple[Array, Array, Array]:
-        """Rows of a stiffness between points that this rank has, as triplets of global numbers."""
-        import scipy.sparse
+    def own_values(self, values: Array) -> tuple[Array, Array]:
+        """Values at the points, as this rank's nodes have them, each from its nearest point.
+
+        Returns:
+            Numbers of the nodes' first components, and the values.
+        """
+        nearest = np.asarray(self.map.argmax(axis=0)).ravel()
+        return self._local[:, 0], values[nearest][self._mine]
+
+    def stiffness(self, H: Any, A: PETSc.Mat) -> PETSc.Mat:
+        """Matrix of A's layout from a stiffness between the points. Collective."""
+        import scipy.sparse  # takes its time, and is for contact only
 
         dim = self.points.shape[1]
         spread = scipy.sparse.kron(self.map, scipy.sparse.identity(dim), format="csr")
-        K = (spread.T @ H @ spread).tocsr()
         rows = (self._mine[:, None] * dim + np.arange(dim)).ravel()
-        part = K[rows].tocoo()
-        names = self.dofs.ravel()
-        return names[rows[part.row]], names[part.col], part.data
+        part = (spread.T @ H @ spread).tocsr()[rows].tocoo()
+        names, first = self.dofs.ravel(), A.getOwnershipRange()[0]
+        places = names[rows[part.row]] - first, names[part.col]
+        K = scipy.sparse.csr_matrix((part.data, places), shape=A.getSizes()[0])
+        csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
+        return PETSc.Mat().createAIJ(A.getSizes(), A.getBlockSize(), csr=csr, comm=self.comm)
 
 
 def _global(V: fem.FunctionSpace, dofs: Array) -> Array:
@@ -131,6 +151,37 @@ def _global(V: fem.FunctionSpace, dofs: Array) -> Array:
     bs, imap = V.dofmap.bs, V.dofmap.index_map
     blocks = imap.local_to_global((dofs // bs).ravel().astype(np.int32))
     return np.asarray(blocks).reshape(dofs.shape) * bs + dofs % bs
+
+
+def _inside(cell: basix.CellType, lattice: Array) -> Array:
+    """Which points of a reference facet are on none of its edges."""
+    last = 1 - lattice.sum(axis=1) if cell == basix.CellType.triangle else 1 - lattice.max(axis=1)
+    return (lattice.min(axis=1) > SAME) & (last > SAME)
+
+
+def _even(N: Array, means: Array, lattice: Array, pieces: Array, inner: Array) -> Array:
+    """Values of shape functions at a facet's points, such that a uniform pressure is what it is.
+
+    Forces at flat pieces are those of the trapezoid rule: of a pressure 1 they give the node of a
+    quadratic facet's corner 2 / parts^2 more than its share, and the middle less. The points inside
+    the facet take what is missing, which moves them by 1 / (12 parts^2) of the curvature.
+
+    Args:
+        N: Values, shape (points, functions).
+        means: The functions' means over the facet.
+        lattice: Points.
+        pieces: Numbers of points.
+        inner: Which points are inside.
+    """
+    corners = lattice[pieces]
+    sides = corners[:, 1:] - corners[:, :1]
+    sizes = np.abs(np.linalg.det(sides))
+    shares: Array = np.zeros(len(lattice))
+    np.add.at(shares, pieces, (sizes / (sizes.sum() * pieces.shape[1]))[:, None])
+    if inner.any():
+        N = N.copy()
+        N[inner] += (means - shares @ N) / shares[inner].sum()
+    return N
 
 
 def _lattice(cell: basix.CellType, parts: int) -> tuple[Array, Array]:

@@ -167,8 +167,23 @@ def test_benchmark_of_contact_runs(run, tmp_path):
             far, near = (abs(r["width"]) for r in sorted(found, key=lambda r: -r["dhat/h"]))
             assert near < far and near < 0.03
     assert sum(r.get("what") == "presets" for r in rows) == 8
-    assert next(r for r in rows if r.get("what") == "overhead")["ratio"] > 0
+    assert next(r for r in rows if r.get("what") == "overhead")["ratio, surfaces"] > 0
+    two = next(r for r in rows if r.get("body") == "two cylinders")
+    assert (
+        max(abs(two[f"{what}, {side}"]) for what in ("width",) for side in ("upper", "lower"))
+        < 0.02
+    )
+    assert abs(next(r for r in rows if r.get("body") == "sphere in space")["width"]) < 0.1
     assert (tmp_path / "results" / "contact.png").stat().st_size > 10_000
+
+
+def test_benchmark_of_self_contact_runs(run, tmp_path):
+    """Toy sizes: a bar that turns a little, a cloth that begins to fold."""
+    pytest.importorskip("ipctk", reason="ipctk, an optional package, is not installed")
+    done = run("-m", "demos.benchmarks.self_contact", "--small", cwd=tmp_path)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["crossed"] for row in rows] == [0, 0] and min(r["least J"] for r in rows) > 0.5
+    assert (tmp_path / "results" / "self_contact.png").stat().st_size > 10_000
 
 
 def test_benchmark_of_points_runs(run, tmp_path):

@@ -407,7 +407,7 @@ def test_what_contact_needs():
     """A path with an obstacle of that name, one sentence each."""
     _, potential, u, held, _ = ball_scene(MPI.COMM_SELF)
     problem = forms.Problem(potential, u, held)
-    with pytest.raises(ValueError, match=r"has the obstacles ball, got 'floor'"):
+    with pytest.raises(ValueError, match=r"has the contacts ball, got 'floor'"):
         contact.force(problem, "floor")
     with pytest.raises(ValueError, match=r"contact.gap needs a path or a problem, got Unknown"):
         contact.gap(u)

@@ -25,6 +25,7 @@ NAMES = (
     "validity",
     "motion",
     "contact",
+    "self_contact",
     "sensitivities",
 )
 

@@ -119,8 +119,8 @@ class Tangent:
                 self.kept.prepare(self.A)
                 return
         self.scaled.tangent(self.projecting)
-        if self.problem.couples:  # a factorization of another pattern
-            self.ksp.getPC().reset()
+        if self.problem.repatterned:
+            self.kept.repattern()
             self.ksp.setOperators(self.product, self.A)
         self.use()
 

@@ -14,7 +14,7 @@ from ...files.checkpoint import Saved
 from ...ledger import JUMP, KINK, ORDINARY, START
 from ...paths import Convergence, Event, Path
 from ...programs import kinks
-from ..certificates import certified_volume
+from ..certificates import certified_volume, crossing
 from ..corrector import Corrector
 from ..extrapolation import State
 from ..newton import Newton
@@ -260,8 +260,13 @@ def pace_of(
 
 
 def attempt(newton: Newton) -> Convergence:
-    """One Newton solve at the present load, boundary values carried along first. Collective."""
+    """One Newton solve at the present load, boundary values carried along first. Collective.
+
+    A state in which surfaces cross is none, whatever way led there.
+    """
     for support in newton.problem.supports:
         support.update()
     newton.predict()
-    return newton.solve()
+    outcome = newton.solve()
+    crossed = crossing(newton.problem) if outcome.converged else ""
+    return replace(outcome, converged=False, reason=crossed) if crossed else outcome

@@ -317,6 +317,7 @@ class TimeSteps:
             )
         self._time = self.motion.t.value = numbers["time"]
         self.motion.recall(saved.states, numbers["step"])
+        self.path.problem.rollback()
         self.motion.momenta = np.array(numbers["momenta"])
         self._scale = numbers["scale"]
         self.path.tangents = numbers["tangents"]

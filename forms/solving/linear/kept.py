@@ -102,6 +102,14 @@ class Kept:
         self.stale, self.due, self.slow = False, True, False
         self._first, self._extra, self.goal, self._asked = 0.0, 0.0, 0.0, self._rtol
 
+    def repattern(self) -> None:
+        """The next tangent has another pattern: nothing that was made of the last one fits."""
+        if self._levels is not None:
+            self._levels.forget()
+        else:
+            self._ksp.getPC().reset()
+        self.due = True
+
     def renew(self) -> None:
         """Build anew at the next tangent."""
         self.due = True

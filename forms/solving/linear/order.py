@@ -78,11 +78,16 @@ class OrderMultigrid:
             A.ptap(self.P, self.coarse)
         self._pc.getMGCoarseSolve().setOperators(self.coarse)
 
+    def forget(self) -> None:
+        """Free the coarse operator: the next tangent has another pattern. Collective."""
+        if self.coarse is not None:
+            self.coarse.destroy()
+            self.coarse = None
+
     def destroy(self) -> None:
         """Free the matrices."""
         self.P.destroy()
-        if self.coarse is not None:
-            self.coarse.destroy()
+        self.forget()
 
 
 def _set(ksp: PETSc.KSP, prefix: str, presets: Mapping[str, str]) -> None:

@@ -84,13 +84,15 @@ def preset(problem: Problem, A: PETSc.Mat | None = None, settings: Any = None) -
         settings: :class:`forms.solving.settings.Settings` with the sizes from which on.
     """
     V = problem.u.function_space
-    if V.mesh.topology.dim != 3 or problem.couples:
+    if V.mesh.topology.dim != 3:
         return direct(problem.symmetric)
     direct_up_to = DIRECT_UP_TO if settings is None else settings.direct_up_to
     split_from = SPLIT_FROM if settings is None else settings.split_from
     degree = problem.displacement_degree
     if problem.minimization and problem.is_displacement and problem.size > direct_up_to:
         return multigrid(degree)
+    if problem.couples:  # whose tangents change their pattern, as the blocks of a split do not
+        return direct(problem.symmetric)
     most = split_from.get(V.mesh.topology.cell_name(), max(split_from.values()))
     if problem.symmetric and problem.size > most and degree == 2 and _has_one_scalar(problem):
         if any(field.role is Role.UNDECLARED for field in problem.fields.values()):
