@@ -17,6 +17,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from . import _checks, _petsc
+from .slants import Slants
 from .supports import Support
 from .terms import FormTerm, Term
 from .unknowns import Field, displacement_field, fields_of
@@ -45,6 +46,7 @@ class Problem:
             minimized over, with no load that is a virtual work.
         symmetric: Whether the tangent is symmetric.
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
+        slants: What supports prescribe along other directions than components; None for nothing.
         solver: What a solver keeps with the problem; None before the first solve.
         motion: The :class:`forms.motion.Motion` that it is a step of; None in statics.
 
@@ -80,6 +82,8 @@ class Problem:
         found = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)]))
         owned = dofmap.index_map.size_local * dofmap.bs
         self.constrained: NDArray[np.int32] = found[found < owned].astype(np.int32)
+        slanted = [s.slant for s in self.supports if s.slant is not None]
+        self.slants = Slants(u.function_space, slanted, found) if slanted else None
 
     @property
     def comm(self) -> MPI.Comm:
@@ -168,7 +172,14 @@ class Problem:
         K is that of the forms. Entries at supported degrees of freedom have no meaning. Collective.
         """
         self._add_residual(b)
-        self.forms.lift(b)
+        if self.slants is None:
+            self.forms.lift(b)
+        else:
+            target = self.u.x.array.copy()
+            for condition in self.conditions:
+                condition.set(target)
+            self.slants.prescribe(target)
+            self.forms.add_action(b, target - self.u.x.array)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def _add_residual(self, b: PETSc.Vec) -> None:
@@ -200,6 +211,8 @@ class Problem:
         if len(self.terms) > 1:
             rows = self.constrained + A.getOwnershipRange()[0]
             A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
+        if self.slants is not None:
+            self.slants.apply(A)
 
     @property
     def couples(self) -> bool:
@@ -309,6 +322,32 @@ class Problem:
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""
         fem_petsc.set_bc(x, self.conditions)
+        if self.slants is not None:
+            self.slants.prescribe(x.array)
+
+    def put(self, array: Any, values: Any) -> None:
+        """Put values, at :attr:`constrained`, where supports prescribe them; local.
+
+        Args:
+            array: Own entries of the unknown's layout, or with ghosts: of a displacement, or of
+                its velocity.
+            values: Own entries, of which those at supports count.
+        """
+        array[self.constrained] = values[self.constrained]
+        if self.slants is not None:
+            self.slants.put(array, values)
+
+    def clear(self, array: Any) -> None:
+        """Take out of an array, own entries, what is along directions of supports; local."""
+        array[self.constrained] = 0
+        if self.slants is not None:
+            self.slants.clear(array)
+
+    def held_part(self, array: Any) -> Any:
+        """What :meth:`clear` would take out of an array; local."""
+        free = np.array(array)
+        self.clear(free)
+        return array - free
 
 
 def _parted(potential: Any) -> tuple[Any, list[Term]]:

@@ -42,6 +42,8 @@ LAWS = {
     "loads": "pressure is the derivative of p V; signs; tangents of follower loads; points and "
     "lines whatever the mesh",
     "supports": "rigid motions at every node and load",
+    "slants": "rollers along any direction: turned bars and cubes, a sector of a ring, a round wall; "
+    "every way of solving; gradients; multigrid; 1, 2, 3 ranks",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
     "unknowns": "fields by name and role: a heated bar, pressure and volume ratio, damage; own "
