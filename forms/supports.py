@@ -249,7 +249,7 @@ def pin(
     if not len(axes) or any(axis not in range(dim) for axis in axes):
         raise ValueError(f"pin needs axes between 0 and {dim - 1}, got {list(axes)}.")
     view = field.view
-    spaces = [view.sub(axis).collapse()[0] for axis in axes]
+    spaces = [_dolfinx.collapse(view.sub(axis))[0] for axis in axes]
     at = nodes_at(spaces[0], point, "pin")
     high = bounding_box(V.mesh.comm, V.mesh.geometry.x)[1]
     parts = []
@@ -329,7 +329,7 @@ def _check_value(value: Expr, mesh: Any) -> None:
 def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescribed:
     """Boundary condition on a space, or on a view of one, with its value's own space."""
     whole = len(view.component()) == 0
-    W = view if whole else view.collapse()[0]
+    W = view if whole else _dolfinx.collapse(view)[0]
     fdim = W.mesh.topology.dim - 1
     dofs = fem.locate_dofs_topological(view if whole else (view, W), fdim, facets)
     g = fem.Function(W, name="prescribed")

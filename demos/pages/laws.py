@@ -46,6 +46,8 @@ LAWS = {
     "every way of solving; gradients; multigrid; 1, 2, 3 ranks",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
+    "cubic": "elements of degree 3 in mixed unknowns: uniform bodies, fields put and read; 1, 2, 3 "
+    "ranks",
     "unknowns": "fields by name and role: a heated bar, pressure and volume ratio, damage; own "
     "mixed elements; 1, 2, 3 ranks",
     "intervals": "bounds of UFL scalars over boxes contain every value; of points they have no "
