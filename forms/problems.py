@@ -70,6 +70,7 @@ class Problem:
         self.motion: Any = None
         potential, others = _parted(potential)
         _check_parts(potential, u)
+        _checks.form_of(virtual_work, u.function_space.mesh, "a virtual work")
         self.forms = FormTerm(potential, u, degree, virtual_work, self.conditions)
         self.terms: tuple[Term, ...] = (self.forms, *others)
         self.forms.set_stiffness()
@@ -381,14 +382,18 @@ def _listed(supports: Iterable[Support] | Support, u: fem.Function) -> tuple[Sup
 
 def _check_parts(potential: Any, u: fem.Function) -> None:
     """Refuse w.split() and w.sub(0), by which nothing would be differentiated."""
+    if isinstance(potential, np.ndarray):
+        raise ValueError(
+            f"the potential is an array of shape {potential.shape}, as there is a NumPy array in "
+            'its energy: fill the x.array of a Function of ("DG", 0) with a value in each cell.'
+        )
     if not isinstance(potential, ufl.Form):
         return
     if len(potential.ufl_domains()) > 1:
         raise ValueError(
             "the potential is integrated over two meshes: take measures and unknown from one body."
         )
-    for integral in potential.integrals():
-        _checks.same_space(integral.integrand(), u.function_space.mesh, "a potential")
+    _checks.form_of(potential, u.function_space.mesh, "a potential")
     for c in potential.coefficients():
         if c is not u and isinstance(c, fem.Function) and np.shares_memory(c.x.array, u.x.array):
             raise ValueError(

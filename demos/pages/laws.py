@@ -42,8 +42,8 @@ LAWS = {
     "loads": "pressure is the derivative of p V; signs; tangents of follower loads; points and "
     "lines whatever the mesh",
     "supports": "rigid motions at every node and load",
-    "slants": "rollers along any direction: turned bars and cubes, a sector of a ring, a round wall; "
-    "every way of solving; gradients; multigrid; 1, 2, 3 ranks",
+    "slants": "rollers along any direction: turned bars and cubes, a sector of a ring, a "
+    "round wall; every way of solving; gradients; multigrid; 1, 2, 3 ranks",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
     "cubic": "elements of degree 3 in mixed unknowns: uniform bodies, fields put and read; 1, 2, 3 "
