@@ -89,6 +89,14 @@ def test_a_command_keeps_its_arguments_folder_stdin_and_exit_code(builder, tmp_p
     assert answer.returncode == 7
 
 
+def test_a_first_build_says_that_other_versions_ask_for_nothing(builder):
+    """Debian's packages are never all of the versions that were recorded."""
+    assert (
+        "enter: ready; 1 packages are not of the versions in docker/versions.lock, as Debian mends "
+        "some now and then: nothing to do"
+    ) in enter("true", **builder).stderr.splitlines()
+
+
 def test_the_second_call_builds_nothing_and_says_nothing(builder):
     """A root is made once; afterwards docker/enter adds no word to the command's."""
     assert "making a private Debian 13" in enter("true", **builder).stderr
