@@ -166,6 +166,9 @@ class Corrector:
         newton, tangent, criteria = self.newton, self.newton.tangent, self.newton.criteria
         if tangent.kept.slow:
             newton.leave_multigrid()
+        if "snes_linesearch_type" in newton.options.user and self._misses():
+            # Such a search would take a part of the way to the prescribed values, too.
+            newton.predict()
         snes = self._make()
         tangent.projecting, tangent.spoiled, self.singular = False, False, False
         if not free:
