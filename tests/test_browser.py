@@ -23,6 +23,9 @@ selenium = pytest.importorskip("selenium", reason="selenium is missing: ENTER_SI
 from selenium import webdriver  # noqa: E402
 from selenium.webdriver.common.by import By  # noqa: E402
 from selenium.webdriver.common.keys import Keys  # noqa: E402
+from selenium.webdriver.support.expected_conditions import (  # noqa: E402
+    text_to_be_present_in_element,
+)
 from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -119,7 +122,8 @@ def test_the_slider_of_shear_draws_every_traction(browser, server):
     for key, value in ((Keys.END, "2.00"), (Keys.HOME, "0.00")):
         handle.send_keys(key)
         readout = (By.CSS_SELECTOR, ".widget-readout")
-        WebDriverWait(browser, LONG).until(lambda b: b.find_element(*readout).text == value)
+        reads = text_to_be_present_in_element(readout, value)
+        WebDriverWait(browser, LONG).until(reads)
         time.sleep(2)
         picture = shown(browser)
         green = (np.abs(picture - [0.173, 0.627, 0.173]) < 0.12).all(axis=2)
