@@ -126,6 +126,19 @@ def test_another_list_makes_another_root_beside_the_first(builder, tmp_path):
     assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
 
 
+def test_a_root_with_a_browser_stands_beside_the_other(builder, tmp_path):
+    """ENTER_SITE adds the packages of a second list, and makes no change to the first root."""
+    script = MAKE_TINY_ROOT + 'echo "$*" >>"$RUNS"\n'
+    builder["PATH"] = commands(tmp_path / "bin", mmdebstrap=script)
+    assert enter("true", **builder).returncode == 0
+    assert "chromium" not in builder["RUNS"].read_text()
+    assert enter("true", **builder, ENTER_SITE=1).returncode == 0
+    more = re.findall(r"^[^#\s]+", (DOCKER / "packages-site.txt").read_text(), re.MULTILINE)
+    assert {"chromium", "python3-selenium"} <= set(more)
+    assert all(name in builder["RUNS"].read_text() for name in more)
+    assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
+
+
 def test_another_suite_makes_a_root_of_its_own(builder, tmp_path):
     """ENTER_SUITE reaches mmdebstrap, its root stands beside the other, lacks are named."""
     script = MAKE_TINY_ROOT + 'echo "suite: $*" >>"$RUNS"\necho "left out: newest"\n'

@@ -133,6 +133,8 @@ LAWS = {
     "builds": "docker/enter makes a root once, whoever kills or doubles it",
     "generated": "tables and pictures of the pages follow from the code",
     "pages": "links, code, commands and names of every page are there; forms for contributors",
+    "walk": "in a fresh clone all that the pages show is typed, and no file of it changes",
+    "browser": "a notebook's solutions and its slider in Chromium (ENTER_SITE=1 docker/enter)",
     "house": "imports point down as drawn, no circle, private names at home, one import name",
     "package": "wheel, versions, imports, the first screen of the README",
 }
