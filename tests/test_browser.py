@@ -57,7 +57,7 @@ def server(tmp_path_factory):
         yield found[1], found[2]
     finally:
         os.killpg(process.pid, signal.SIGTERM)
-        process.wait(timeout=60)
+        process.communicate(timeout=60)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,8 @@ def test_the_slider_of_shear_draws_every_traction(browser, server):
     handle = WebDriverWait(browser, LONG).until(
         lambda b: b.find_elements(By.CSS_SELECTOR, ".noUi-handle, .ui-slider-handle")
     )[0]
-    first = WebDriverWait(browser, LONG).until(lambda b: shown(b))
+    WebDriverWait(browser, LONG).until(lambda b: shown(b) is not None)
+    first = shown(browser)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
     for key, value in ((Keys.END, "2.00"), (Keys.HOME, "0.00")):
         handle.send_keys(key)
