@@ -101,9 +101,32 @@ def test_each_solution_is_hidden_and_opens_by_a_click(file, browser, server):
         assert not inside.is_displayed()
 
 
+def executed(browser, server, name):
+    """Open a notebook, execute its cells and wait for its slider and picture.
+
+    A server that is slow to begin a kernel loses the page's first messages: it is loaded again.
+    """
+    # Of a cell that waits the prompt is a star, of one that has run its number.
+    ran = (
+        "return Jupyter.notebook.get_cells().every(cell => cell.cell_type != 'code' "
+        "|| !cell.get_text() || cell.input_prompt_number > 0)"
+    )
+    for _ in range(4):
+        opened(browser, server, name)
+        time.sleep(3)
+        browser.execute_script("Jupyter.notebook.execute_all_cells()")
+        begun = time.monotonic()
+        while time.monotonic() - begun < 75:
+            time.sleep(1)
+            there = browser.find_elements(By.CSS_SELECTOR, ".noUi-handle")
+            if browser.execute_script(ran) and there and shown(browser) is not None:
+                return
+    pytest.fail(f"{name} shows no slider")
+
+
 def shown(browser):
     """Pixels of the last picture below the slider's cell; None while there is none."""
-    found = browser.find_elements(By.CSS_SELECTOR, ".widget-output img, .jupyter-widgets img")
+    found = browser.find_elements(By.CSS_SELECTOR, ".jupyter-widgets img")
     if not found:
         return None
     data = found[-1].get_attribute("src").partition("base64,")[2]
@@ -112,13 +135,8 @@ def shown(browser):
 
 def test_the_slider_of_shear_draws_every_traction(browser, server):
     """At both ends: at gamma = 2 Cauchy's tractions on all four faces are inside the picture."""
-    opened(browser, server, "02_stresses.ipynb")
-    browser.execute_script("Jupyter.notebook.execute_all_cells()")
-    handle = WebDriverWait(browser, LONG).until(
-        lambda b: b.find_elements(By.CSS_SELECTOR, ".noUi-handle, .ui-slider-handle")
-    )[0]
-    WebDriverWait(browser, LONG).until(lambda b: shown(b) is not None)
-    first = shown(browser)
+    executed(browser, server, "02_stresses.ipynb")
+    handle, first = browser.find_element(By.CSS_SELECTOR, ".noUi-handle"), shown(browser)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
     for key, value in ((Keys.END, "2.00"), (Keys.HOME, "0.00")):
         handle.send_keys(key)
