@@ -31,6 +31,7 @@ ELSEWHERE = {
     r"git clone": "the clone is made already",
     r"docker/image": "needs Docker",
     r"benchmarks[./]peers": "other codes, 8 GB of them, outside docker/enter",
+    r"demos\.notebooks --check": "minutes; tests/test_notebooks.py does it one by one",
     r"my_script": "stands for a reader's own",
     r"docker/enter\s*(#|$)": "an interactive shell",
     r">docker/versions\.lock": "records the versions of the machine that it runs on",
