@@ -17,6 +17,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from ufl.algorithms.analysis import extract_arguments, extract_constants
 
+from . import _dolfinx
 from ._types import Expr
 
 
@@ -117,14 +118,28 @@ def _summands(e: Expr) -> list[Expr]:
 
 
 def same_space(expression: Expr, mesh: Any, what: str) -> None:
-    """Refuse Constants, as a load factor, of a mesh of another dimension."""
+    """Refuse Constants, as a load factor, of a mesh of another dimension.
+
+    Args:
+        expression: UFL expression.
+        mesh: The mesh, or an expression on it.
+        what: Who asks, for messages.
+    """
+    domain = ufl.domain.extract_unique_domain(mesh) if isinstance(mesh, Expr) else mesh.ufl_domain()
+    own = _dolfinx.geometric_dimension(domain)
     for c in extract_constants(expression):
-        dim = ufl.domain.extract_unique_domain(c).geometric_dimension()
-        if dim != mesh.geometry.dim:
+        dim = _dolfinx.geometric_dimension(ufl.domain.extract_unique_domain(c))
+        if dim != own:
             raise ValueError(
-                f"{what} on a mesh in {mesh.geometry.dim} dimensions contains a Constant of a mesh "
-                f"in {dim}: make the load factor with this body, forms.load_factor(body)."
+                f"{what} on a mesh in {own} dimensions contains a Constant of a mesh in {dim}: "
+                "make the load factor with this body, forms.load_factor(body)."
             )
+
+
+def form_of(form: Any, mesh: Any, what: str) -> None:
+    """Refuse forms with Constants of a mesh of another dimension; what is no form passes."""
+    for integral in form.integrals() if isinstance(form, ufl.Form) else ():
+        same_space(integral.integrand(), mesh, what)
 
 
 def in_ufl(function: Callable[..., Any], name: str, *args: Any, **given: Any) -> Any:
@@ -157,6 +172,8 @@ def number(value: Expr) -> float | None:
 def direction(A: Any, what: str) -> Expr:
     """A direction in space, of length 1 where it consists of numbers."""
     expr = vector(A, (3,), what)
+    if isinstance(expr, ufl.classes.Zero):
+        raise ValueError(f"{what} needs a unit vector, got one of length 0.")
     if isinstance(expr, ufl.classes.ListTensor):
         values = [number(entry) for entry in expr.ufl_operands]
         length = 1.0 if None in values else float(np.linalg.norm(np.array(values, float)))

@@ -84,9 +84,22 @@ def interpolation_points(V: fem.FunctionSpace) -> NDArray[np.float64]:
 
 
 def collapse(view: fem.FunctionSpace) -> tuple[fem.FunctionSpace, NDArray[np.int32]]:
-    """Space of a view, and its degrees of freedom in the whole (0.11: a list per cell type)."""
-    V, numbers = view.collapse()
-    return V, np.asarray(numbers, dtype=np.int32).ravel()
+    """Space of a view, and its degrees of freedom in the whole (0.11: a list per cell type).
+
+    From degree 3 on a space of its own: in the one that DOLFINx makes the nodes of an edge are in
+    another order in some cells, so that functions of it jump there.
+    """
+    element = view.ufl_element()
+    if element.embedded_superdegree <= 2:
+        V, numbers = view.collapse()
+        return V, np.asarray(numbers, dtype=np.int32).ravel()
+    V = fem.functionspace(view.mesh, element)
+    size, imap = V.dofmap.bs, V.dofmap.index_map
+    numbers = np.zeros((imap.size_local + imap.num_ghosts, size), dtype=np.int32)
+    cells, whole = V.dofmap.list, view.dofmap
+    named = whole.list[:, :, None] * whole.bs + np.arange(whole.bs)
+    numbers[cells] = named.reshape(*cells.shape, size)
+    return V, numbers.ravel()
 
 
 def create_vector(form: fem.Form) -> Any:

@@ -17,6 +17,7 @@ from . import _checks, _dolfinx, insertion
 from ._types import Expr
 from .compilation import compiled
 from .quadrature import SIMPLICES, with_quadrature
+from .slants import Slants
 from .unknowns import Field
 from .variation import residual, tangent
 
@@ -130,7 +131,7 @@ class Inertia:
         insertion.assemble(A, form, [])
         return A
 
-    def solve(self, forces: Array, held: NDArray[np.int32]) -> Array:
+    def solve(self, forces: Array, held: NDArray[np.int32], slants: Slants | None = None) -> Array:
         """M^-1 f, own entries, 0 where something is prescribed. Collective."""
         A = self.matrix()
         free = np.setdiff1d(self._own.ravel(), held)
@@ -139,6 +140,9 @@ class Inertia:
         A.zeroRowsColumns(rows, diag=1.0)
         b, x = A.createVecs()
         b.array[free] = forces[free]
+        if slants is not None:
+            slants.apply(A)
+            slants.clear(b.array)
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         ksp.setType("cg")

@@ -21,7 +21,7 @@ from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.checks import is_cellwise_constant
 from ufl.corealg.multifunction import MultiFunction
 
-from ._checks import measure, vector
+from ._checks import measure, same_space, vector
 from ._types import Expr
 from .differentiation import nodes
 from .kinematics import Revolved, axisymmetric, circumference, deformation_gradient, is_axisymmetric
@@ -39,7 +39,9 @@ def body_force(u: Expr, b: Expr, dx: ufl.Measure = ufl.dx) -> ufl.Form:
     Raises:
         ValueError: b and u have different shapes.
     """
-    return -ufl.inner(vector(b, u.ufl_shape, "a body force"), u) * measure(dx, "a body force")
+    b = vector(b, u.ufl_shape, "a body force")
+    same_space(b, u, "a body force")
+    return -ufl.inner(b, u) * measure(dx, "a body force")
 
 
 def gravity(

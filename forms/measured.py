@@ -27,7 +27,7 @@ from .loads import with_kinematics
 from .points import cells_at, require_inside
 from .problems import Problem
 from .quadrature import with_quadrature
-from .results import _counted, _displacement, resultant
+from .results import _counted, _displacement, _selected, resultant
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ class Reaction:
             x[:, :gdim] += problem.u.x.array[dofs]
             directions[:] = np.cross(self._d, x - _padded(self.about))
         w = np.zeros(len(problem.u.x.array))
-        w[dofs] = np.where(counted, directions[:, :gdim], 0.0)
+        w[dofs] = _selected(counted, directions[:, :gdim])
         return w
 
     def by_state(self, problem: Problem, c: Array) -> Array:
@@ -102,15 +102,16 @@ class Reaction:
             R = c[0] * room.array_r
             room.destroy()
             forces = np.zeros((len(dofs), 3))
-            forces[:, : dofs.shape[1]] = np.where(counted, R[dofs], 0.0)
+            forces[:, : dofs.shape[1]] = _selected(counted, R[dofs])
             b[dofs] = np.cross(forces, self._d)[:, : dofs.shape[1]]
         return b
 
-    def _nodes(self, problem: Problem) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Entries of the unknown at owned nodes, and which count, both (nodes, components)."""
+    def _nodes(self, problem: Problem) -> tuple[NDArray[np.int32], Any]:
+        """Entries of the unknown at owned nodes, (nodes, components), and what of them counts."""
         W, numbers = _displacement(problem).collapsed
         counted = _counted(problem, W, numbers, self.where, self.dim)
-        return numbers[: counted.size].reshape(counted.shape), counted
+        shape = counted.shape[:2]
+        return numbers[: shape[0] * shape[1]].reshape(shape), counted
 
 
 @dataclass(frozen=True, eq=False)

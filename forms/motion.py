@@ -118,7 +118,9 @@ class Motion:
         self._vector = self.problem.create_vector()
         self.given, self.stage = self.held.at(float(t.value)), scheme.stage(1.0, 0.0)
         self.dt, self.begun = 0.0, float(t.value)
-        held = self.problem.comm.allreduce(len(self.problem.constrained))
+        slants = self.problem.slants
+        held = len(self.problem.constrained) + (0 if slants is None else slants.count)
+        held = self.problem.comm.allreduce(held)
         self._free, self._owned = scheme.middle and not held, self._vector.getLocalSize()
         self._masses = self.inertia.of(np.ones_like(u.x.array))
         self.momenta: NDArray = np.zeros(6)
@@ -155,18 +157,20 @@ class Motion:
         held, u = self.problem.constrained, self.u
         self._put_velocity(velocity)
         given = self.held.at(float(self.t.value))
-        u.x.array[held], self.velocity.x.array[held] = given.value, given.velocity
+        self.problem.put(u.x.array, given.value)
+        self.problem.put(self.velocity.x.array, given.velocity)
         for function in (u, self.velocity):
             function.x.scatter_forward()
         self._last.x.array[:] = u.x.array
         self.acceleration.x.array[:] = 0
         self._let_forces_be_those_of_the_state()
         self.problem.residual(self._vector)
-        self.acceleration.x.array[held] = given.acceleration
+        self.problem.put(self.acceleration.x.array, given.acceleration)
         self.acceleration.x.scatter_forward()
         forces = self._vector.array_r.copy()
         forces += self.inertia.of(self.acceleration.x.array)
-        self.acceleration.x.array[: self._owned] += self.inertia.solve(-forces, held)
+        change = self.inertia.solve(-forces, held, self.problem.slants)
+        self.acceleration.x.array[: self._owned] += change
         self.acceleration.x.scatter_forward()
         self._let_forces_be_those_of_the_state()
         self._measure_momenta()
@@ -196,7 +200,7 @@ class Motion:
         Velocity and acceleration stay those of the last accepted state.
         """
         begin, middle = float(self.t.value), self.scheme.middle
-        stage, held = self.scheme.stage(dt, self.step), self.problem.constrained
+        stage, own = self.scheme.stage(dt, self.step), self._owned
         last, v, a = (f.x.array for f in (self._last, self.velocity, self.acceleration))
         h = dt / 2 if middle else dt
         moved, fields = self._nodes.ravel(), np.asarray(self.u.x.array)
@@ -206,15 +210,15 @@ class Motion:
         value, velocity, acceleration = given
         if middle:
             self.held.halve()
-            value, velocity = (value + last[held]) / 2, (value - last[held]) / dt
-            acceleration = (given.velocity - v[held]) / dt
+            value, velocity = (value + last[:own]) / 2, (value - last[:own]) / dt
+            acceleration = (given.velocity - v[:own]) / dt
             self.t.value = begin + h
-        fields[held] = value
+        self.problem.put(fields, value)
         self._start.x.array[:] = self._sum(stage.start)
         self._drift.x.array[:] = self._sum(stage.drift)
         # So that inertia and rates there are those of the prescribed motion.
-        self._start.x.array[held] = value - acceleration / stage.inertia
-        self._drift.x.array[held] = velocity - stage.rate * value
+        self.problem.put(self._start.x.array, value - acceleration / stage.inertia)
+        self.problem.put(self._drift.x.array, velocity - stage.rate * value)
         for function in (self.u, self._start, self._drift):
             function.x.scatter_forward()
         self._value, self._lag.x.array[:] = value, last
@@ -228,7 +232,7 @@ class Motion:
     def stay(self) -> None:
         """Begin the step's solve from the last state, and not from where that leads freely."""
         self.u.x.array[:] = self._last.x.array
-        self.u.x.array[self.problem.constrained] = self._value
+        self.problem.put(self.u.x.array, self._value)
         self.u.x.scatter_forward()
 
     def _sum(self, weights: Weights) -> Array:
@@ -242,7 +246,7 @@ class Motion:
 
     def found(self) -> State:
         """The motion that a step's solution means; nothing is taken yet. Collective."""
-        stage, held, others = self.stage, self.problem.constrained, self.inertia.others
+        stage, others = self.stage, self.inertia.others
         s = self.u.x.array.copy()
         a = stage.inertia * (s - self._start.x.array)
         v = stage.rate * s + self._drift.x.array
@@ -250,10 +254,10 @@ class Motion:
         if self.scheme.middle:
             u, v = 2 * s - self._last.x.array, 2 * v - self.velocity.x.array
             u[others] = s[others]
-            v[held] = self.given.velocity
+            self.problem.put(v, self.given.velocity)
             if self._free:
                 v[: self._owned] += self._rigid_rest(s, u, v)
-        u[held] = self.given.value
+        self.problem.put(u, self.given.value)
         a[others] = v[others] = 0
         return State(s, u, v, a)
 

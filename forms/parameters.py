@@ -42,6 +42,11 @@ def check_parameters(
                     f"{what} got a support that is not one of the problem's: pass the object that "
                     "the problem was made with."
                 )
+            if m.slant is not None:
+                raise ValueError(
+                    f"{what} got a roller along directions of their own, which prescribes no "
+                    "values to differentiate by: leave it out."
+                )
         elif not isinstance(m, fem.Constant | fem.Function):
             raise ValueError(
                 f"{what} needs parameters that can change: Constants, Functions"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from .supports import Prescribed
 
 
 class Held(NamedTuple):
-    """What is prescribed at :attr:`forms.Problem.constrained`."""
+    """What supports prescribe, as own entries of the unknown's layout, 0 elsewhere."""
 
     value: NDArray
     velocity: NDArray
@@ -77,7 +78,7 @@ class PrescribedMotion:
     def _read(self) -> NDArray:
         self._b.set(0)
         self._problem.prescribe(self._b)
-        return self._b.array_r[self._problem.constrained].copy()
+        return np.array(self._b.array_r)
 
     def destroy(self) -> None:
         """Free the vector."""

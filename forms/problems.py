@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from . import _checks, _petsc
 from .kinematics import is_revolved
+from .slants import Slants
 from .supports import Support
 from .terms import FormTerm, Term
 from .unknowns import Field, displacement_field, fields_of
@@ -46,6 +47,7 @@ class Problem:
             minimized over, with no load that is a virtual work.
         symmetric: Whether the tangent is symmetric.
         constrained: Local numbers of the owned degrees of freedom that supports prescribe.
+        slants: What supports prescribe along other directions than components; None for nothing.
         solver: What a solver keeps with the problem; None before the first solve.
         motion: The :class:`forms.motion.Motion` that it is a step of; None in statics.
         repatterned: Whether the last tangent may have another pattern than the one before.
@@ -72,6 +74,7 @@ class Problem:
         self.motion: Any = None
         potential, others = _parted(potential)
         _check_parts(potential, u)
+        _checks.form_of(virtual_work, u.function_space.mesh, "a virtual work")
         self.forms = FormTerm(potential, u, degree, virtual_work, self.conditions)
         self.terms: tuple[Term, ...] = (self.forms, *others)
         if self.couples and is_revolved(self.forms.potential):
@@ -89,6 +92,8 @@ class Problem:
         found = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)]))
         owned = dofmap.index_map.size_local * dofmap.bs
         self.constrained: NDArray[np.int32] = found[found < owned].astype(np.int32)
+        slanted = [s.slant for s in self.supports if s.slant is not None]
+        self.slants = Slants(u.function_space, slanted, found) if slanted else None
 
     @property
     def comm(self) -> MPI.Comm:
@@ -178,7 +183,14 @@ class Problem:
         K is that of the forms. Entries at supported degrees of freedom have no meaning. Collective.
         """
         self._add_residual(b)
-        self.forms.lift(b)
+        if self.slants is None:
+            self.forms.lift(b)
+        else:
+            target = self.u.x.array.copy()
+            for condition in self.conditions:
+                condition.set(target)
+            self.slants.prescribe(target)
+            self.forms.add_action(b, target - self.u.x.array)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def _add_residual(self, b: PETSc.Vec) -> None:
@@ -210,6 +222,8 @@ class Problem:
         if len(self.terms) > 1:
             rows = self.constrained + A.getOwnershipRange()[0]
             A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
+        if self.slants is not None:
+            self.slants.apply(A)
 
     @property
     def couples(self) -> bool:
@@ -326,6 +340,32 @@ class Problem:
     def prescribe(self, x: PETSc.Vec) -> None:
         """Put the prescribed values into a vector; local."""
         fem_petsc.set_bc(x, self.conditions)
+        if self.slants is not None:
+            self.slants.prescribe(x.array)
+
+    def put(self, array: Any, values: Any) -> None:
+        """Put values, at :attr:`constrained`, where supports prescribe them; local.
+
+        Args:
+            array: Own entries of the unknown's layout, or with ghosts: of a displacement, or of
+                its velocity.
+            values: Own entries, of which those at supports count.
+        """
+        array[self.constrained] = values[self.constrained]
+        if self.slants is not None:
+            self.slants.put(array, values)
+
+    def clear(self, array: Any) -> None:
+        """Take out of an array, own entries, what is along directions of supports; local."""
+        array[self.constrained] = 0
+        if self.slants is not None:
+            self.slants.clear(array)
+
+    def held_part(self, array: Any) -> Any:
+        """What :meth:`clear` would take out of an array; local."""
+        free = np.array(array)
+        self.clear(free)
+        return array - free
 
 
 def _parted(potential: Any) -> tuple[Any, list[Term]]:
@@ -359,14 +399,18 @@ def _listed(supports: Iterable[Support] | Support, u: fem.Function) -> tuple[Sup
 
 def _check_parts(potential: Any, u: fem.Function) -> None:
     """Refuse w.split() and w.sub(0), by which nothing would be differentiated."""
+    if isinstance(potential, np.ndarray):
+        raise ValueError(
+            f"the potential is an array of shape {potential.shape}, as there is a NumPy array in "
+            'its energy: fill the x.array of a Function of ("DG", 0) with a value in each cell.'
+        )
     if not isinstance(potential, ufl.Form):
         return
     if len(potential.ufl_domains()) > 1:
         raise ValueError(
             "the potential is integrated over two meshes: take measures and unknown from one body."
         )
-    for integral in potential.integrals():
-        _checks.same_space(integral.integrand(), u.function_space.mesh, "a potential")
+    _checks.form_of(potential, u.function_space.mesh, "a potential")
     for c in potential.coefficients():
         if c is not u and isinstance(c, fem.Function) and np.shares_memory(c.x.array, u.x.array):
             raise ValueError(

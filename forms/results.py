@@ -48,7 +48,7 @@ def resultant(
     Args:
         problem: Path, or its problem, at a converged state.
         facets: Where: local facet indices of a boundary; or those of entities of dimension dim; or
-            a support, as :func:`forms.pin` returns it, of which the held components count; or the
+            a support, of which the held components, or directions, count; or the
             position of a node, or of several, shape (k, 3).
         about: Point c that the moment is taken about [m].
         dim: Dimension of the entities, 1 for the edges of a solid, its own for cells of a region,
@@ -76,7 +76,7 @@ def resultant(
     count = W.dofmap.index_map.size_local
     R, x = np.zeros((count, 3)), np.zeros((count, 3))
     parent = numbers[: count * gdim].reshape(count, gdim)
-    R[:, :gdim] = np.where(counted, _residual(problem)[parent], 0.0)
+    R[:, :gdim] = _selected(counted, _residual(problem)[parent])
     x[:] = W.tabulate_dof_coordinates()[:count]
     x[:, :gdim] += problem.u.x.array[parent]
     x -= center
@@ -136,8 +136,11 @@ def _residual(problem: Problem) -> Array:
 
 def _counted(
     problem: Problem, W: fem.FunctionSpace, numbers: NDArray[np.int32], where: Any, dim: int | None
-) -> NDArray[np.bool_]:
-    """Which components of owned nodes count for a resultant, shape (nodes, components)."""
+) -> Array | NDArray[np.bool_]:
+    """What of owned nodes counts for a resultant: components, shape (nodes, components).
+
+    Of a support along directions n of its own it is n n^T, shape (nodes, components, components).
+    """
     mesh, count, components = W.mesh, W.dofmap.index_map.size_local, W.dofmap.bs
     if isinstance(where, Support):
         if where.space != problem.u.function_space:
@@ -145,6 +148,13 @@ def _counted(
                 "resultant needs a support of the problem's unknown, got one of another: make it "
                 "with the unknown that was solved for."
             )
+        if (slant := where.slant) is not None:
+            place = np.full(numbers.max(initial=-1) + 1, count)
+            place[numbers[: count * components : components]] = np.arange(count)
+            at = place[slant.dofs[:, 0]]
+            own, along = at < count, np.zeros((count, components, components))
+            along[at[own]] = np.einsum("ni,nj->nij", *2 * [slant.normals[own]])
+            return along
         held = np.concatenate([bc.dof_indices()[0] for bc in where.conditions])
         return np.isin(numbers[: count * components], held).reshape(count, components)
     nodes = np.zeros(count, dtype=bool)
@@ -159,6 +169,13 @@ def _counted(
         located = fem.locate_dofs_topological(W, dim, found)
         nodes[located[located < count]] = True
     return np.repeat(nodes[:, None], components, axis=1)
+
+
+def _selected(counted: Array | NDArray[np.bool_], values: Array) -> Array:
+    """What counts of values, shape (nodes, components)."""
+    if counted.ndim == 2:
+        return np.where(counted, values, 0.0)
+    return np.asarray(np.einsum("nij,nj->ni", counted, values))
 
 
 def _is_position(where: Any) -> bool:
@@ -209,8 +226,9 @@ def displacement_of(u: fem.Function) -> fem.Function:
     field = displacement_field(_checks.function(u, "displacement_of"))
     if field is None or field.place is None:
         return u
-    f = u.sub(field.place).collapse()
-    f.name = "displacement"
+    W, numbers = field.collapsed
+    f = fem.Function(W, name="displacement")
+    f.x.array[:] = u.x.array[numbers]
     return f
 
 

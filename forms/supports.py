@@ -8,7 +8,8 @@ evaluated anew at each load. ``facets`` are local facet indices, as ``body.facet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from ._types import Expr
 from .native import jit
+from .slants import Slant, coordinate_axis, slant
 from .unknowns import Field, field_of
 
 Facets = NDArray[np.int32]
@@ -29,9 +31,9 @@ Facets = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Prescribed:
-    """One boundary condition of a support: the whole vector, or one component."""
+    """One boundary condition of a support: the whole vector, one component, or a direction's."""
 
-    condition: fem.DirichletBC
+    condition: fem.DirichletBC | None
     value: fem.Function
     expression: fem.Expression | None
     cells: NDArray[np.int32]
@@ -45,15 +47,22 @@ class Prescribed:
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """A displacement prescribed on facets, as boundary conditions that follow the load."""
+    """A displacement prescribed on facets, as boundary conditions that follow the load.
+
+    Attributes:
+        space: Space of the unknown.
+        parts: Its conditions.
+        slant: Directions at nodes along which nothing moves, where they are no components.
+    """
 
     space: fem.FunctionSpace
     parts: tuple[Prescribed, ...]
+    slant: Slant | None = None
 
     @property
     def conditions(self) -> list[fem.DirichletBC]:
         """The DOLFINx boundary conditions."""
-        return [part.condition for part in self.parts]
+        return [part.condition for part in self.parts if part.condition is not None]
 
     def update(self) -> None:
         """Evaluate the prescribed displacement at the present load factor; collective."""
@@ -71,12 +80,59 @@ def clamp(u: fem.Function, facets: Facets) -> Support:
     return prescribe(u, facets, [0.0] * field_of(u, "a support")[1].components)
 
 
-def roller(u: fem.Function, facets: Facets, axis: int) -> Support:
-    """No displacement along one coordinate axis (0, 1, 2), free otherwise. Collective."""
-    dim = _moved(u)[1].components
-    if axis not in range(dim):
-        raise ValueError(f"a roller needs an axis from 0 to {dim - 1}, got {axis}.")
-    return prescribe(u, facets, [0.0 if i == axis else None for i in range(dim)])
+def roller(u: fem.Function, facets: Facets, axis: Any = None, by: Expr = 0.0) -> Support:
+    """No displacement along one direction, u . n = 0 or by, free otherwise. Collective.
+
+    ``roller(u, facets, 0)`` holds u_x; ``roller(u, facets)`` lets a plane face slide on itself,
+    whatever its angle: a plane of symmetry. On a curved face n is the normal at each node of the
+    reference body, the mean of its facets' normals: points move in tangent planes. Exact, by no
+    penalty. Where supports meet all of them hold; components that others prescribe go first, and a
+    direction that they leave less than 1e-6 of is theirs.
+
+    Args:
+        u: Displacement unknown, or a mixed one whose first part it is.
+        facets: Local facet indices.
+        axis: Axis of coordinates, 0, 1 or 2; or the direction n, of any length, as numbers or in
+            UFL, as a function of the reference point that is evaluated once; by default the
+            normals of the facets, outward.
+        by: Prescribed displacement along n [m], a number or UFL as of :func:`prescribe`: a plane
+            that moves, ``roller(u, body.facets("end"), by=0.2 * t)``.
+
+    Raises:
+        ValueError: an axis that the body does not have, a direction of length 0, no facets on any
+            rank, or facets without a normal at one of their nodes.
+    """
+    w, field = _moved(u)
+    dim = field.components
+    if isinstance(axis, Real):
+        if axis not in range(dim):
+            raise ValueError(f"a roller needs an axis from 0 to {dim - 1}, got {axis}.")
+    else:
+        held = slant(w, field, facets, axis)
+        found = coordinate_axis(held, w.function_space.mesh.comm)
+        if found is None:
+            return _slanted(w, field, _checks.facets(w.function_space.mesh, facets), held, by)
+        axis, sign = found
+        by = by if sign > 0 else -by
+    return prescribe(u, facets, [by if i == axis else None for i in range(dim)])
+
+
+def _slanted(w: fem.Function, field: Field, facets: Facets, held: Slant, by: Expr) -> Support:
+    """A roller along directions of its own, with the values of u . n as a part. Collective."""
+    V = w.function_space
+    value = _checks.number(by)
+    if value is None:
+        _check_value(by, V.mesh)
+    elif value == 0:
+        return Support(V, (), held)
+    first = field.view.sub(0)
+    part = replace(_part(first, facets, [by]), condition=None)
+    whole, own = fem.locate_dofs_topological(
+        (first, part.value.function_space), V.mesh.topology.dim - 1, facets
+    )
+    order = np.argsort(whole)
+    at = own[order[np.searchsorted(whole[order], held.dofs[:, 0])]]
+    return Support(V, (part,), replace(held, value=part.value, at=at))
 
 
 def translate(u: fem.Function, facets: Facets, by: Sequence[Expr | None]) -> Support:
@@ -193,7 +249,7 @@ def pin(
     if not len(axes) or any(axis not in range(dim) for axis in axes):
         raise ValueError(f"pin needs axes between 0 and {dim - 1}, got {list(axes)}.")
     view = field.view
-    spaces = [view.sub(axis).collapse()[0] for axis in axes]
+    spaces = [_dolfinx.collapse(view.sub(axis))[0] for axis in axes]
     at = nodes_at(spaces[0], point, "pin")
     high = bounding_box(V.mesh.comm, V.mesh.geometry.x)[1]
     parts = []
@@ -273,7 +329,7 @@ def _check_value(value: Expr, mesh: Any) -> None:
 def _part(view: fem.FunctionSpace, facets: Facets, values: list[Expr]) -> Prescribed:
     """Boundary condition on a space, or on a view of one, with its value's own space."""
     whole = len(view.component()) == 0
-    W = view if whole else view.collapse()[0]
+    W = view if whole else _dolfinx.collapse(view)[0]
     fdim = W.mesh.topology.dim - 1
     dofs = fem.locate_dofs_topological(view if whole else (view, W), fdim, facets)
     g = fem.Function(W, name="prescribed")

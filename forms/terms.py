@@ -132,6 +132,7 @@ class FormTerm:
         self.residual_form, self.tangent_form = compiled(R), compiled(K)
         self.projected_form: fem.Form | None = None
         self.moduli: Moduli | None = None
+        self._action: fem.Form | None = None
         self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
         self.constants = tuple(c for part in parts for c in extract_constants(part))
         self.barriers = Barriers(potential, u.function_space.mesh.comm)
@@ -170,6 +171,14 @@ class FormTerm:
         """Add K (prescribed - u): the change of the residual by a linear move to the supports."""
         x = self._u.x.petsc_vec
         fem_petsc.apply_lifting(b, [self.tangent_form], bcs=[self._conditions], x0=[x], alpha=-1.0)
+
+    def add_action(self, b: PETSc.Vec, values: NDArray) -> None:
+        """Add K v, the tangent without boundary conditions, of v with ghosts."""
+        if self._action is None:
+            self._along = fem.Function(self._u.function_space)
+            self._action = compiled(ufl.action(self.tangent_ufl, self._along))
+        self._along.x.array[:] = values
+        fem_petsc.assemble_vector(b, self._action)
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
         """Assemble the tangent at u, in place of what was in A, supported rows those of identity.

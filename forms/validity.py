@@ -125,7 +125,6 @@ class VolumeBounds:
         """
         v, (x, geometry), space = self._struct, self._geometry, self._space
         X = x[geometry, :space]
-        # Not of the collapsed space: there DOLFINx numbers edges of degree 3 in another order.
         dofmap = field.view.dofmap
         numbers = dofmap.list[: v.cells]
         numbers = space * numbers if field.place is None else numbers[:, ::space]

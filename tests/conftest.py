@@ -7,10 +7,15 @@ import signal
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import pytest
+
+if find_spec("dolfinx") is None:
+    pytest.exit("the tests need DOLFINx: type docker/enter python3 -m pytest.", returncode=4)
+
+import numpy as np
 import recorder
 
 ROOT = Path(__file__).resolve().parent.parent

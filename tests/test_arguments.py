@@ -165,7 +165,27 @@ def test_a_load_factor_of_another_mesh_is_named():
         with pytest.raises(ValueError, match=re.escape(sentence.format("a support"))):
             call()
     psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
+    held = forms.clamp(u, left)
+    for load in (lambda: forms.body_force(u, (t, 0.0, 0.0)), lambda: forms.gravity(u, t)):
+        with pytest.raises(ValueError, match=re.escape(sentence.format("a body force"))):
+            load()
     dx = ufl.dx(domain=mesh)
-    load = forms.body_force(u, (t, 0.0, 0.0), dx)
     with pytest.raises(ValueError, match=re.escape(sentence.format("a potential"))):
-        forms.solve(psi * dx + load, u, forms.clamp(u, left))
+        forms.solve(psi * dx + forms.spring(u, t, dx), u, held)
+    work = t * ufl.TestFunction(u.function_space)[0] * dx
+    with pytest.raises(ValueError, match=re.escape(sentence.format("a virtual work"))):
+        forms.solve(psi * dx, u, held, virtual_work=work)
+    own = forms.load_factor(mesh)
+    pull = u[0] * ufl.ds(domain=mesh)
+    with pytest.raises(ValueError, match=re.escape(sentence.format("a functional"))):
+        forms.control(psi * dx - own * pull, u, held, own, t * u[0] * dx, [0.1], progress=False)
+
+
+def test_an_array_of_moduli_is_named():
+    """NumPy multiplies UFL entry by entry: an array of energies, and no form."""
+    mesh = unit_mesh(3)
+    u = forms.displacement(mesh)
+    F = forms.deformation_gradient(u)
+    potential = forms.energies.neo_hookean(F, np.ones(4), 2.0) * ufl.dx(domain=mesh)
+    with pytest.raises(ValueError, match=r"array of shape \(4,\).* fill the x.array of a Function"):
+        forms.solve(potential, u, forms.clamp(u, at_plane(mesh, 0, 0.0)))

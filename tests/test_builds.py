@@ -89,6 +89,14 @@ def test_a_command_keeps_its_arguments_folder_stdin_and_exit_code(builder, tmp_p
     assert answer.returncode == 7
 
 
+def test_a_first_build_says_that_other_versions_ask_for_nothing(builder):
+    """Debian's packages are never all of the versions that were recorded."""
+    assert (
+        "enter: ready; 1 packages are not of the versions in docker/versions.lock, as Debian mends "
+        "some now and then: nothing to do"
+    ) in enter("true", **builder).stderr.splitlines()
+
+
 def test_the_second_call_builds_nothing_and_says_nothing(builder):
     """A root is made once; afterwards docker/enter adds no word to the command's."""
     assert "making a private Debian 13" in enter("true", **builder).stderr
@@ -115,6 +123,19 @@ def test_another_list_makes_another_root_beside_the_first(builder, tmp_path):
     for text in ("tiny\n", "# why\ntiny  # because\n", "tiny\nsmall\n"):
         packages.write_text(text)
         assert enter("true", script=clone / "docker/enter", **builder).returncode == 0
+    assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
+
+
+def test_a_root_with_a_browser_stands_beside_the_other(builder, tmp_path):
+    """ENTER_SITE adds the packages of a second list, and makes no change to the first root."""
+    script = MAKE_TINY_ROOT + 'echo "$*" >>"$RUNS"\n'
+    builder["PATH"] = commands(tmp_path / "bin", mmdebstrap=script)
+    assert enter("true", **builder).returncode == 0
+    assert "chromium" not in builder["RUNS"].read_text()
+    assert enter("true", **builder, ENTER_SITE=1).returncode == 0
+    more = re.findall(r"^[^#\s]+", (DOCKER / "packages-site.txt").read_text(), re.MULTILINE)
+    assert {"chromium", "python3-selenium"} <= set(more)
+    assert all(name in builder["RUNS"].read_text() for name in more)
     assert len(list(builder["ENTER_CACHE"].glob("root-*"))) == 2
 
 

@@ -225,6 +225,7 @@ def test_active_bar_shortens_by_the_closed_form():
     [
         (lambda F: energies.active_tension(F, np.nan, (1, 0, 0)), "needs a finite Ta, got nan"),
         (lambda F: energies.active_tension(F, 1.0, (2, 0, 0)), "unit vector, got one of length 2"),
+        (lambda F: energies.active_tension(F, 1.0, (0, 0, 0)), "unit vector, got one of length 0"),
         (lambda F: energies.active_tension(F, 1.0, (1, 0)), r"needs the shape \(3,\), got \(2,\)"),
         (
             lambda F: energies.active_tension(ufl.as_matrix([[1, 0], [0, 1]]), 1.0, (1, 0, 0)),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Notebooks are their sources, executed, and the solutions of their exercises run."""
 
+import itertools
 import re
 import time
 
@@ -77,6 +78,11 @@ def test_title_questions_and_exercises(source):
     assert text.count("**Question.**") >= len(parts) - 1
     exercises = text[text.index("## Exercises") :]
     assert exercises.count("<details>") == exercises.count("</details>") >= 2
+    every = notebook(source).cells
+    for cell, after in itertools.pairwise(every):
+        if number := re.match(r"\*\*Exercise (\d+)\.", cell.source):
+            answer = f"# Your answer to exercise {number[1]}:"
+            assert (after.cell_type, after.source) == ("code", answer)
     for solution in re.findall("<details>.*?</details>", exercises, re.S):
         blocks = re.findall(r"^```python\n(.*?)^```$", solution, re.M | re.S)
         assert re.search(r"^ *(assert |raise AssertionError)", "".join(blocks), re.M), solution

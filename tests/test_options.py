@@ -160,6 +160,20 @@ def test_options_reach_petsc(options, looser):
     assert (distance > 1e-6) == looser
 
 
+def test_a_line_search_of_ones_own_leaves_supports_where_they_are_prescribed():
+    """It may shorten a step, but not the way to moved supports: the path is the plain one."""
+    found = []
+    for options in ({}, {"snes_linesearch_type": "l2"}):
+        body = meshes.block(MPI.COMM_SELF, (1.0, 0.2, 0.2), h=0.2)
+        u, t = forms.displacement(body), forms.load_factor(body)
+        psi = forms.energies.fixed_corotated(forms.deformation_gradient(u), 1.0, 10.0)
+        turn = forms.rotate(u, body.facets("right"), angle=t, axis=(1, 0, 0))
+        supports = [forms.clamp(u, body.facets("left")), turn]
+        forms.follow(psi * ufl.dx, u, supports, t, to=2.0, options=options, progress=False)
+        found.append(u.x.array.copy())
+    assert np.abs(found[1] - found[0]).max() < 1e-5
+
+
 def test_options_end_with_their_solve():
     """A solve's options do not reach the next one with its prefix; misspelled ones are named."""
     with pytest.warns(UserWarning, match="did not use the options snes_typ: are they") as said:

@@ -132,3 +132,32 @@ def test_another_dolfinx_is_refused_in_one_sentence(tmp_path):
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert "ImportError: variform needs DOLFINx 0.9 to 0.11, found 0.8.0" in done.stderr
+
+
+@pytest.mark.parametrize("code", ["from variform import forms", "import demos.twist"])
+def test_without_dolfinx_one_sentence_says_what_to_type(code):
+    """Python without Debian's packages, as outside docker/enter."""
+    process = subprocess.run(
+        [sys.executable, "-S", "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert process.stderr.strip().splitlines()[-1] == (
+        "ImportError: variform needs mpi4py, petsc4py, dolfinx, which this Python has not: in the "
+        "folder of variform type docker/enter before the command, as docker/enter python3 -m "
+        "demos.twist, or install DOLFINx 0.9 to 0.11."
+    )
+
+
+def test_tests_without_dolfinx_end_in_one_sentence():
+    """Pytest alone, without DOLFINx: not an error for each file."""
+    code = (
+        "import sys, importlib.util as util; found = util.find_spec;"
+        "util.find_spec = lambda name, *a: None if name == 'dolfinx' else found(name, *a);"
+        "import pytest; sys.exit(pytest.main(['-q', '-p', 'no:xdist', 'tests/test_intervals.py']))"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 4
+    assert "the tests need DOLFINx: type docker/enter python3 -m pytest." in (
+        process.stdout + process.stderr
+    )

@@ -295,6 +295,19 @@ def test_unknown_names_would_be_found():
     assert unknown_names(text) == ["forms.slove", "nothing.py", "test_no.py"]
 
 
+@pytest.mark.parametrize("page", ["demos/documents", "forms/formulas"])
+def test_formulas_by_hand_exist(page):
+    """``elasticity.invariants`` and others of forms/formulas in inline code."""
+    files = {file.stem for file in (ROOT / "forms" / "formulas").glob("[a-z]*.py")}
+    names = re.findall(
+        r"^(\w+)\.(\w+)$", "\n".join(spans((ROOT / page / "README.md").read_text())), re.M
+    )
+    named = [(module, name) for module, name in names if module in files]
+    assert len(named) > 50
+    for module, name in named:
+        assert hasattr(importlib.import_module(f"variform.forms.formulas.{module}"), name), name
+
+
 def known():
     """Names that a page about forms may call without saying where they are."""
     places = [forms, forms.energies, forms.kinematics, forms.membranes, forms.stress]

@@ -79,6 +79,24 @@ def deviation(body, path):
     return np.abs(beside / beside.mean() - 1).max()
 
 
+def test_a_turned_stack_between_slanted_rollers_carries_the_same_force():
+    """Pairs in contact join nodes that rollers hold along directions of their own."""
+    angle, found = 0.5, []
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for turn in (np.eye(2), Q):
+        body = stack(MPI.COMM_SELF, 3, 4, 0.01)
+        body.mesh.geometry.x[:, :2] = body.mesh.geometry.x[:, :2] @ turn.T
+        t, u = forms.load_factor(body), forms.displacement(body)
+        psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+        term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.02)
+        held = [forms.roller(u, body.facets(name)) for name in ("side 0", "low end")]
+        held.append(forms.roller(u, body.facets("up end"), by=-0.1 * t))
+        path = forms.follow([psi, term], u, held, t, rtol=1e-10, ctol=1e-10, progress=False)
+        found.append(turn.T @ forms.resultant(path, held[-1])[0][:2])
+    assert found[0][1] < -0.1
+    assert found[1] == pytest.approx(found[0], abs=1e-8)
+
+
 def test_derivatives_of_the_barrier_have_their_rates():
     """E, R and K of two rough faces: differences along a random direction are of rate 2."""
     rng = np.random.default_rng(1)

@@ -7,9 +7,9 @@
 # by `forms.residual` and `forms.tangent`. Then you will test derivatives by Taylor's theorem, and
 # see what a wrong one costs Newton's method.
 #
-# Before: gradients of functions of several variables; $F = I + \nabla u$, $C = F^T F$,
-# $J = \det F$. Equation numbers in parentheses are those of document 003: V. W. L. Chan,
-# *Compressible Hyperelastic Constitutive Relation*.
+# Before: gradients of functions of several variables; $F = I + \nabla u$, $C = F^T F$, $J = \det
+# F$. Equation numbers in parentheses are those of [document 003](../documents/README.md): V. W. L.
+# Chan, *Compressible Hyperelastic Constitutive Relation*.
 
 # %%
 from mpi4py import MPI
@@ -306,7 +306,7 @@ assert abs(u.x.array - solution).max() < 1e-8
 # 1)^2$ instead of $\tfrac{\lambda}{2}(\ln J)^2$. Find its $P$ by hand, put it into the NumPy
 # element, and compare with the automatic residual of `forms.energies.neo_hookean_quadratic`.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $\delta \tfrac{\lambda}{2}(J - 1)^2 = \lambda (J - 1)\, \delta J
 # = \lambda (J - 1) J F^{-T} : \nabla v$.
@@ -327,7 +327,7 @@ assert abs(u.x.array - solution).max() < 1e-8
 # **Exercise 2.** Solve the bar with the tangent at rest, $K(0)$, in all iterations (the *modified*
 # Newton method). By which factor does $|R|$ fall per iteration? Predict it before you measure.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Near the solution $u_*$ the error is multiplied by $1 - K(u_*) / K(0)$. The bar is so much softer
 # there that the factor is 0.62: some seventy iterations instead of five.
@@ -342,3 +342,6 @@ assert abs(u.x.array - solution).max() < 1e-8
 # assert len(norms) > 60 and abs(norms[31] / norms[30] - predicted) < 1e-3
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 2:

@@ -7,8 +7,9 @@
 # the same material stiffen in one and soften in another, and carry stress and stiffness from the
 # reference body into the deformed one.
 #
-# Before: notebook 1. Equation numbers in parentheses are those of document 003: V. W. L. Chan,
-# *Compressible Hyperelastic Constitutive Relation*, sections I to IV.
+# Before: notebook 1. Equation numbers in parentheses are those of [document
+# 003](../documents/README.md): V. W. L. Chan, *Compressible Hyperelastic Constitutive Relation*,
+# sections I to IV.
 
 # %%
 from mpi4py import MPI
@@ -159,7 +160,7 @@ def draw(axes, gamma):
                 style = {"arrowstyle": "->", "color": color, "lw": 1.5}
                 place = (F @ normal / 2)[:2]
                 axes.annotate("", place + t[:2] / 2, place, arrowprops=style)
-    axes.set(xlim=(-1.8, 1.8), ylim=(-0.9, 0.9), aspect="equal", title=rf"$\gamma$ = {gamma:.1f}")
+    axes.set(xlim=(-2.2, 2.2), ylim=(-0.9, 0.9), aspect="equal", title=rf"$\gamma$ = {gamma:.1f}")
     axes.set(xlabel="x [m]", ylabel="y [m]")
 
 
@@ -295,7 +296,7 @@ assert np.allclose(materials.neo_hookean_elasticity(gradients, mu, lmbda), c, at
 # 1)$, is pressed together. At which $s$ is the force greatest? What do $S_{11}$ and $\sigma_{11}$
 # do there?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $S_{11} = (\lambda + 2\mu)(s^2 - 1)/2$ goes on falling, but $P_{11} = s S_{11}$ is least at
 # $s = 1/\sqrt3$; below it the rod gives way. $\sigma_{11} = P_{11}$, since the cross-section stays.
@@ -315,7 +316,7 @@ assert np.allclose(materials.neo_hookean_elasticity(gradients, mu, lmbda), c, at
 # **Exercise 2.** Show that the tangent of $P$, $A = \partial P / \partial F$, is not zero along a
 # spin $\dot F = W F$ with $W = -W^T$, where the energy does not change. What is $A : \dot F$?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $P(QF) = Q P(F)$, so $\dot P = W P$: the stress turns. This is what the geometric stiffness of
 # notebook 3 is about.
@@ -327,3 +328,6 @@ assert np.allclose(materials.neo_hookean_elasticity(gradients, mu, lmbda), c, at
 # assert np.allclose(P_dot, W @ P, atol=1e-13)
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 2:

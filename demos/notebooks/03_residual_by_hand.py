@@ -3,9 +3,9 @@
 # %% [markdown]
 # # 3. The residual form by hand
 #
-# You will write the tetrahedron of document 003 in twenty lines, force and tangent, and assemble a
-# body from it; the automatic derivatives must agree to the last digit. Then you will leave parts
-# out, as the document's print does, and see who notices.
+# You will write the tetrahedron of [document 003](../documents/README.md) in twenty lines, force
+# and tangent, and assemble a body from it; the automatic derivatives must agree to the last digit.
+# Then you will leave parts out, as the document's print does, and see who notices.
 #
 # Before: notebooks 1 and 2. Equation numbers in parentheses are those of document 003: V. W. L.
 # Chan, *Compressible Hyperelastic Constitutive Relation*, sections VII and VIII.
@@ -294,7 +294,7 @@ assert np.interp(1.0, factors, sweep) < 0.05
 # then follow the smallest eigenvalues of $K_c + K_\sigma$ and of $K_c$ up to 5 %, and extrapolate.
 # Euler's strain for clamped ends is $4 \pi^2 I / (A L^2) = 3.3$ %.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $K_\sigma$ grows about as the strain, so the eigenvalue of $K_c^{-1} K_\sigma$ reaches $-1$ near
 # 1 % over its modulus there. $K_c$ notices nothing. The bar buckles much later than Euler's,
@@ -319,7 +319,7 @@ assert np.interp(1.0, factors, sweep) < 0.05
 # **Exercise 2.** Turn a deformed tetrahedron as a whole by a rotation $Q$. How does $T$ change?
 # What are $K_c$ and $K_\sigma$ times the velocities $\omega \times x_a$ of a spin?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $T_a$ becomes $Q T_a$. A spin strains nothing, so $K_c$ gives nothing, but the forces must turn:
 # that is the work of $K_\sigma$.
@@ -336,3 +336,6 @@ assert np.interp(1.0, factors, sweep) < 0.05
 # assert np.allclose(tet4(X, x @ Q.T)[0], T @ Q.T, atol=1e-14)
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 2:

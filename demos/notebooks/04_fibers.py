@@ -4,9 +4,9 @@
 # # 4. Fibers: transverse isotropy, and what mistakes in print do
 #
 # You will see how one direction enters an energy, how five constants follow from moduli that one
-# can measure, and what a misprint in a stress, a tangent or a constant does to a computation.
-# The formulas are those of document 003 (V. W. L. Chan, *Compressible Hyperelastic Constitutive
-# Relation*), (20) to (28).
+# can measure, and what a misprint in a stress, a tangent or a constant does to a computation. The
+# formulas are those of [document 003](../documents/README.md) (V. W. L. Chan, *Compressible
+# Hyperelastic Constitutive Relation*), (20) to (28).
 #
 # You should know $\mathbf F$, $\mathbf C = \mathbf F^T \mathbf F$, the Cauchy stress, and Newton's
 # method. Lengths are in mm, stresses in MPa.
@@ -397,7 +397,7 @@ Image(filename=picture)
 # `forms.energies.transversely_isotropic_constants_five`. Take $E_A = 9$, $E_t = 3$, $\nu_t = 0.4$,
 # $\nu_A = 0.2$, $G_A = 0.8$ and show by `tension` that all come back.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Both ratios are independent now; under load across the fibers they contract by $\nu_A E_t / E_A$.
 #
@@ -411,11 +411,14 @@ Image(filename=picture)
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 1:
+
 # %% [markdown]
 # **Exercise 2.** For which ratio $E_A / E_t$ do the printed constants cease to exist, and what
 # does the package say there? Hint: $m$ in (25) is divided by.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # With $n = E_A / E_t$ one has $m = 1 - \nu - 2 n \nu^2 = 0$ at $n = (1 - \nu) / (2 \nu^2) =
 # 5.01$: no fibers could be more than five times as stiff as what lies between them.
@@ -434,12 +437,15 @@ Image(filename=picture)
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** There is an angle between 0 and 90 degrees at which a strip pulled by a small
 # strain does not shear at all. Find it for $G_A = 0.8$, and what is special about the modulus
 # there.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The shear strain is a quarter of the derivative of $\sigma/E$ by the angle: turn $\mathbf n$ in
 # $\mathbf n\mathbf n : \mathbb S : \mathbf n\mathbf n$. So the strip does not shear where it is
@@ -464,3 +470,6 @@ Image(filename=picture)
 # assert abs(low - np.argmin(stiffness(theta, G_A)[:91])) < 1
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

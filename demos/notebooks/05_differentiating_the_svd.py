@@ -5,8 +5,8 @@
 #
 # Many energies are written in the singular values of $\mathbf F$. You will derive their tangent
 # with SymPy, see where it divides by zero (at rest, where every simulation starts), and how to
-# compute it to 15 digits all the same. The formulas are those of document 000, *Computing
-# ∂P/∂F*.
+# compute it to 15 digits all the same. The formulas are those of [document
+# 000](../documents/README.md), *Computing ∂P/∂F*.
 #
 # You should know the singular value decomposition and the first Piola-Kirchhoff stress
 # $\mathbf P = \partial\psi/\partial\mathbf F$.
@@ -366,7 +366,7 @@ Image(filename=picture)
 # quotient needs no division at all, and find the part of the sum quotient that is unbounded as
 # $s_1 + s_2 \to 0$.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $2\mu - \lambda (J - 1)$, and $2\mu + \lambda(J - 1) - 4\mu/(s_1 + s_2)$: the last term.
 #
@@ -381,12 +381,15 @@ Image(filename=picture)
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 1:
+
 # %% [markdown]
 # **Exercise 2.** Saint Venant-Kirchhoff's energy is smooth in $\mathbf F$: $\hat\psi_{,i} +
 # \hat\psi_{,j} \to 0$ as $s_i + s_j \to 0$, and the sum quotient has the limit $\hat\psi_{,ii} +
 # \hat\psi_{,ij}$. By how much is a clamp wrong there, and what does the package return?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The clamp makes the quotient 0 instead of -2.37: wrong by 100 %. The package finds out by
 # itself that the energy is smooth, and needs no clamp.
@@ -402,11 +405,14 @@ Image(filename=picture)
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** Where is Hencky's tangent indefinite in uniaxial tension? Plot or search the
 # eigenvalues of `hencky.evaluate` for $\mathbf F = \mathrm{diag}(\ell, \ell^{-\nu}, \ell^{-\nu})$.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # From $\ell = e$ on, where the nominal stress $E \ln\ell/\ell$ has its maximum.
 #
@@ -420,3 +426,6 @@ Image(filename=picture)
 # assert abs(first - np.e) < 0.02
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

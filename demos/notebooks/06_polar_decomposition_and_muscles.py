@@ -5,8 +5,8 @@
 #
 # You will differentiate the rotation in $\mathbf G = \mathbf{RS}$, see what happens to the formulas
 # where $\det\mathbf G < 0$, and let a strip bend by an energy that measures the distance from a
-# rotation. The formulas are those of document 002, *Derivatives of Polar-Decomposition-Based Energy
-# Density*.
+# rotation. The formulas are those of [document 002](../documents/README.md), *Derivatives of
+# Polar-Decomposition-Based Energy Density*.
 #
 # You should know the singular value decomposition and $\mathbf P = \partial\psi/\partial\mathbf F$.
 
@@ -323,7 +323,7 @@ assert np.allclose(bent[:, -1] / h * length / 2, np.pi, rtol=0.02)  # each half 
 # [[1, 0.3], [0, 1]]$, start from rest, and find its shape and its energy. Does the printed
 # $\mathbf P = 2(\mathbf{FA} - \mathbf R)\mathbf A$ vanish in the same state?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $\mathbf F = \mathbf{RA}^{-1}$ is uniform, so the strip reaches it and its energy is 0, if its
 # end may turn: pins instead of a wall. The printed $\mathbf P$ vanishes there, too, as
@@ -345,13 +345,16 @@ assert np.allclose(bent[:, -1] / h * length / 2, np.pi, rtol=0.02)  # each half 
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 1:
+
 # %% [markdown]
 # **Exercise 2.** Only the upper quarter of the thickness contracts. Timoshenko's general formula
 # with $m = a_1/a_2$, the ratio of the thicknesses of the passive and the active layer, and $n =
 # E_1/E_2$ is $\kappa h = 6 c (1 + m)^2 / (3 (1 + m)^2 + (1 + mn)(m^2 + 1/(mn)))$. Does the strip
 # bend less than with equal layers?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Yes, by a fifth: a thin layer pulls at a longer lever, but with less force.
 #
@@ -366,12 +369,15 @@ assert np.allclose(bent[:, -1] / h * length / 2, np.pi, rtol=0.02)  # each half 
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** Muscle keeps its volume. Add $\frac\lambda2(\det\mathbf{FA} - 1)^2$ by
 # `lmbda=2.0` in `bend`. Does a strip in plane strain then bend more or less? What does the
 # formula say?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Just as much: the moduli of both layers grow alike, and their ratio is all that the formula
 # knows. It still holds within 0.1 %.
@@ -383,3 +389,6 @@ assert np.allclose(bent[:, -1] / h * length / 2, np.pi, rtol=0.02)  # each half 
 # assert abs(found / timoshenko(0.1) - 1) < 1e-3
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

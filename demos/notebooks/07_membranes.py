@@ -311,7 +311,7 @@ plt.show()
 # **Exercise 1.** At rest, which of the six eigenvalues of $\psi_\text{sheet}$ are zero, and why
 # must they be?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The twist at rest is a small rotation in the plane, the two normals are rotations out of it: no
 # energy. The flip is a shear (2 mu), the stretches have 6 mu (both) and 2 mu (opposite).
@@ -327,7 +327,7 @@ plt.show()
 # $6 I_3^{-4}\,\partial I_2/\partial F\otimes\partial I_2/\partial F$ in one line and with other
 # factors in the next. Derive the term by the chain rule and say which line is right.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $I_3^{-2}$ has the second derivative $6 I_3^{-4}$ in $I_3$, so it is
 # $\partial I_3/\partial F\otimes\partial I_3/\partial F$, as in the second line.
@@ -339,11 +339,14 @@ plt.show()
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** A Mooney-Rivlin balloon has $p = 2(1/l - 1/l^7)(1 + k l^2)$ (with $k =
 # c_{01}/c_{10}$ and $2 c_{10} = \mu$). From which $k$ on does the pressure have no peak any more?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The slope must nowhere be negative: $k$ is at least the largest value of $-a'/(a l^2)'$, where
 # $a = 1/l - 1/l^7$. That is 0.2145: rubber with more of it swells without a jump.
@@ -356,11 +359,14 @@ plt.show()
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 3:
+
 # %% [markdown]
 # **Exercise 4.** Let a gas do the work: prescribe $p V$ (constant temperature) instead of $V$. Does
 # it pass the limit point?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Yes: $p V \sim l^2 - l^{-4}$ grows for all $l$. The functional contains the unknown pressure.
 #
@@ -371,3 +377,6 @@ plt.show()
 # assert np.allclose(gas.record("l"), np.linspace(1.1, 2.2, 12), rtol=1e-3)
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 4:

@@ -498,7 +498,7 @@ for name, term in {
 # **Exercise 1.** For which starts $l$ does the plain Newton method of the bar without a force
 # return to 1?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The step keeps $l$ positive if $1 - \ln l/(1 - \ln l) > 0$, so $\ln l < 1/2$: up to
 # $l = \sqrt e = 1.649$. All shorter bars return, too.
@@ -513,7 +513,7 @@ for name, term in {
 # **Exercise 2.** At half the largest force, how long a step may the bar take by $\Theta \le 1/2$?
 # And at 99 % of it? What does this say of equal load steps?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # By bisection: 0.32 and 0.012. The last one is longer than what is left of the way: $\Theta$ alone,
 # of one step, does not know that there is no solution; the next tangents would. Equal steps are too
@@ -532,11 +532,14 @@ for name, term in {
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** The account is for every problem. For this one, which point would have told at 180
 # degrees that the block was twisted to the wrong side? Check it in the states of both walks.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # One in the middle of the block: it has to have turned half as far as the face, to the same side.
 # In the walk of the first section it has not.
@@ -555,3 +558,6 @@ for name, term in {
 # assert min(half_turn(other), 360 - half_turn(other)) < 90
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

@@ -259,7 +259,7 @@ Image(stored.getvalue())
 # **Exercise 1.** How many unknowns would P1 need for the error that P3 has with 32 x 32 cells?
 # Would they fit into 64 GB, if the tangent takes 150 bytes per unknown?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Extrapolate with the slope -1/2: the error is to be divided by more than a thousand, so the
 # unknowns are multiplied by its square. Some $10^{11}$ of them, more than 10 TB: no.
@@ -274,7 +274,7 @@ Image(stored.getvalue())
 # %% [markdown]
 # **Exercise 2.** The error of the displacement itself falls like $h^{k+1}$. Measure it for P2.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # ```python
 # found = []
@@ -289,11 +289,14 @@ Image(stored.getvalue())
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** Look at the whole chart. Which curves end in a floor, and what is it that no mesh
 # can mend?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Slab in plane strain and balloon as a membrane: a model's own error. They are the right choice
 # above it (1 %) and none below. Read the choices off the table beside the chart:
@@ -306,3 +309,6 @@ Image(stored.getvalue())
 # assert "3" in table["elements, smooth"][2].split(":")[0]
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

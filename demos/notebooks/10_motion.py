@@ -203,7 +203,7 @@ plt.show()
 # **Exercise 1.** What does a step of the trapezoidal rule do to a mass on a spring? Show that
 # $k u^2 + \rho v^2$ stays.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # With $u - u_n = \Delta t\,(v + v_n)/2$ and $\rho\,(v - v_n) = -\Delta t\,k\,(u + u_n)/2$, multiply
 # the second by $v + v_n$: $\rho\,(v^2 - v_n^2) = -k\,(u + u_n)(u - u_n)$. A hundred steps of it,
@@ -223,7 +223,7 @@ plt.show()
 # **Exercise 2.** Throw the beam spinning, held by nothing, by the trapezoidal and by the midpoint
 # rule. Whose angular momentum stays?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The midpoint rule's: it keeps invariants that are quadratic in place and velocity.
 #
@@ -243,11 +243,14 @@ plt.show()
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** What are the lowest frequencies about rest, and about the state under the beam's
 # own weight?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The beam hangs, and its weight stretches it: the lowest frequency rises.
 #
@@ -260,3 +263,6 @@ plt.show()
 # assert bent.frequencies[0] > 1.005 * rest.frequencies[0]
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

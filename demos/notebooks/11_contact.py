@@ -374,7 +374,7 @@ assert all(step.bounds.lower > 0 and step.clearance.distance > 0 for step in pat
 # **Exercise 1.** Near $\hat d$ the pressure is about $3k(1 - y)^2$. What does a load of $q \ll k$
 # leave as a gap, and how stiff is the barrier there?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $1 - y = \sqrt{q/(3k)}$, and the stiffness $-dp/dd = 6k(1 - y)/\hat d = 2\sqrt{3kq}/\hat d$: it is
 # as soft as the load is small, which is why contact begins without a jolt.
@@ -391,7 +391,7 @@ assert all(step.bounds.lower > 0 and step.clearance.distance > 0 for step in pat
 # **Exercise 2.** Distances are looked at in points: nodes and middles of edges, here. Which pin can
 # pass through the beam, and what helps?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # One that fits between two points with its radius and `dhat`. `parts=` sets more points.
 #
@@ -404,10 +404,13 @@ assert all(step.bounds.lower > 0 and step.clearance.distance > 0 for step in pat
 # ```
 # </details>
 
+# %%
+# Your answer to exercise 2:
+
 # %% [markdown]
 # **Exercise 3.** Throw the block along a level floor at 1 m/s. How far does it get?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # $v^2/(2 \mu g) = 0.10$ m, whatever its mass.
 #
@@ -425,3 +428,6 @@ assert all(step.bounds.lower > 0 and step.clearance.distance > 0 for step in pat
 # assert abs(way * 2 * mu * g - 1) < 0.02
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 3:

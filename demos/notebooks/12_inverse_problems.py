@@ -209,7 +209,7 @@ assert found.distance < 1e-8 and abs(rise / naive - 1) > 0.02
 # **Exercise 1.** What is the derivative of the stored energy by prescribed displacements? Guess,
 # and compare with `forms.gradient` by the support that pulls the first block.
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # The force: $d\Pi = R \cdot du_p$. The adjoint is 0, as $\Pi_u = R = 0$ where nothing is held.
 #
@@ -223,7 +223,7 @@ assert found.distance < 1e-8 and abs(rise / naive - 1) > 0.02
 # %% [markdown]
 # **Exercise 2.** Half the noise, or four times as many data: which makes a fit more exact?
 #
-# <details><summary>Solution</summary>
+# <details><summary><b>Solution</b> (click to show it)</summary>
 #
 # Neither: the covariance is $(J^T J)^{-1}$, and $J$ goes with one over the noise and, row by row,
 # with the data.
@@ -240,3 +240,6 @@ assert found.distance < 1e-8 and abs(rise / naive - 1) > 0.02
 # assert np.allclose(found["half"], found["plain"] / 2, rtol=1e-4)
 # ```
 # </details>
+
+# %%
+# Your answer to exercise 2:

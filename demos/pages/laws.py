@@ -42,8 +42,12 @@ LAWS = {
     "loads": "pressure is the derivative of p V; signs; tangents of follower loads; points and "
     "lines whatever the mesh",
     "supports": "rigid motions at every node and load",
+    "slants": "rollers along any direction: turned bars and cubes, a sector of a ring, a "
+    "round wall; every way of solving; gradients; multigrid; 1, 2, 3 ranks",
     "solve": "uniaxial stretch, shear, sheets, tube; manufactured solutions; balance; units, mixed "
     "problems included",
+    "cubic": "elements of degree 3 in mixed unknowns: uniform bodies, fields put and read; 1, 2, 3 "
+    "ranks",
     "unknowns": "fields by name and role: a heated bar, pressure and volume ratio, damage; own "
     "mixed elements; 1, 2, 3 ranks",
     "intervals": "bounds of UFL scalars over boxes contain every value; of points they have no "
@@ -129,6 +133,8 @@ LAWS = {
     "builds": "docker/enter makes a root once, whoever kills or doubles it",
     "generated": "tables and pictures of the pages follow from the code",
     "pages": "links, code, commands and names of every page are there; forms for contributors",
+    "walk": "in a fresh clone all that the pages show is typed, and no file of it changes",
+    "browser": "a notebook's solutions and its slider in Chromium (ENTER_SITE=1 docker/enter)",
     "house": "imports point down as drawn, no circle, private names at home, one import name",
     "package": "wheel, versions, imports, the first screen of the README",
 }

@@ -73,20 +73,20 @@ class Accounts:
 
     def _supports(self, q: float, side: float) -> float:
         """R . du_p/dq. Collective."""
-        problem, held = self.problem, self.problem.constrained
-        velocity = np.zeros(len(held))
+        problem = self.problem
+        velocity = np.zeros(self._b.getLocalSize())
         for offset, weight in _quotient(side):
             self._q.value = q + offset * self._h
             for support in problem.supports:
                 support.update()
             self._b.set(0)
             problem.prescribe(self._b)
-            velocity += weight / self._h * self._b.array_r[held]
+            velocity += weight / self._h * self._b.array_r
         self._q.value = q
         for support in problem.supports:
             support.update()
         problem.residual(self._b)
-        return float(problem.comm.allreduce(float(self._b.array_r[held] @ velocity)))
+        return float(problem.comm.allreduce(float(self._b.array_r @ velocity)))
 
     def chord(self) -> tuple[float, float]:
         """Work of the virtual works since the state last kept, by the forces there and here."""

@@ -242,7 +242,7 @@ class Border:
         fem_petsc.assemble_vector(b, form)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         b.pointwiseMult(b, self.tangent.scaled.D)
-        b.array[self.problem.constrained] = 0
+        self.problem.clear(b.array)
 
     def integral(self, form: fem.Form) -> float:
         """Assemble a functional at the present state. Collective."""

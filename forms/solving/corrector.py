@@ -167,6 +167,9 @@ class Corrector:
         newton, tangent, criteria = self.newton, self.newton.tangent, self.newton.criteria
         if tangent.kept.slow:
             newton.leave_multigrid()
+        if "snes_linesearch_type" in newton.options.user and self._misses():
+            # Such a search would take a part of the way to the prescribed values, too.
+            newton.predict()
         snes = self._make()
         tangent.projecting, tangent.spoiled, self.singular = False, False, False
         if not free:
@@ -218,11 +221,11 @@ class Corrector:
 
     def _misses(self) -> bool:
         """Whether the state misses the prescribed values, by more than rounding. Collective."""
-        scaled, held = self.newton.tangent.scaled, self.problem.constrained
+        scaled = self.newton.tangent.scaled
         scaled.get(self._b)
-        before = self._b.array_r[held].copy()
+        before = self._b.array_r.copy()
         scaled.prescribe(self._b)
-        missed = float(np.abs(self._b.array_r[held] - before).max(initial=0.0))
+        missed = float(np.abs(self._b.array_r - before).max(initial=0.0))
         return bool(max(self.problem.comm.allgather(missed)) > 0)
 
     def _why(self, code: int) -> str:
@@ -253,7 +256,7 @@ class Corrector:
         if self._lift:
             problem.lifted_residual(self._b)
             self._b.pointwiseMult(self._b, scaled.D)
-            self._b.array[problem.constrained] = 0
+            problem.clear(self._b.array)
         else:
             self.newton.criteria.reactions = scaled.residual(self._b)
         # ln J with J < 0 spoils the energy before every part of the residual.
@@ -279,10 +282,13 @@ class Corrector:
 
     def _check(self, z: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Let the first correction end at the prescribed values; keep to what terms allow."""
-        lifted, held, fraction = self._lift, self.problem.constrained, 1.0
+        lifted, fraction, own = self._lift, 1.0, self._b.getLocalSize()
         if lifted:
+            self._b.array[:] = z.array_r[:own]
             self.newton.tangent.scaled.prescribe(self._b)
-            step.array[held] = z.array_r[held] - self._b.array_r[held]
+            taken = step.array[:own]
+            self.problem.clear(taken)
+            taken += z.array_r[:own] - self._b.array_r
         if self.problem.bounds_steps:
             moves = {}
             if self.border is None:

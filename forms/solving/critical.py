@@ -77,7 +77,7 @@ class Critical:
         v, w = self._problem.create_vector(), self._problem.create_vector()
         start, end = v.getOwnershipRange()
         v.array[:] = np.sin(1.0 + 0.7 * np.arange(start, end) ** 1.5)
-        v.array[self._problem.constrained] = 0
+        self._problem.clear(v.array)
         size = 0.0
         for _ in range(INVERSE_ITERATIONS):
             v.normalize()

@@ -52,6 +52,8 @@ class Damping:
         diagonal = self.L.getDiagonal()
         diagonal.array[problem.constrained] = 0
         self.L.setDiagonal(diagonal)
+        if problem.slants is not None:
+            problem.slants.apply(self.L, 0.0)
         self._balance(problem)
         # A potential on a part of the mesh only has fewer entries than L.
         same = _entries(A) == _entries(self.L)

@@ -113,7 +113,7 @@ class Linearized:
 
     def _scaled(self, b: PETSc.Vec) -> PETSc.Vec:
         self._b.pointwiseMult(b, self._tangent.scaled.D)
-        self._b.array[self.problem.constrained] = 0
+        self.problem.clear(self._b.array)
         return self._b
 
     def _solved(self, b: PETSc.Vec, x: PETSc.Vec, norm: float, transposed: bool) -> bool:

@@ -73,8 +73,7 @@ class MotionAccounts:
             loads_mean = (loads + self._loads) / 2
         else:
             loads_mean = loads
-        held = self._problem.constrained
-        supports = self._dot(reactions[held], change[held])
+        supports = self._dot(self._problem.held_part(reactions), self._problem.held_part(change))
         virtual = -self._dot(loads_mean, change)
         explicit, later = 0.0, self._energy
         if self._explicit:

@@ -43,7 +43,7 @@ def predict(newton: Any) -> None:
     runs.b.pointwiseMult(runs.b, scaled.D)
     runs.b.scale(-1)
     # Not the jump itself, a length among forces: it is prescribed below.
-    runs.b.array[problem.constrained] = 0
+    problem.clear(runs.b.array)
     start = runs.x.copy()
     _carry(newton, assembled)
     # Without the carried step where that leaves no finite energy, or crosses an obstacle.

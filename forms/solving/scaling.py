@@ -126,11 +126,11 @@ class Scaled:
         """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
         self.problem.residual(b)
         b.pointwiseMult(b, self.D)
-        held = b.array_r[self.problem.constrained]
+        held = self.problem.held_part(b.array_r)
         # A trial state may be so far off that its forces overflow; it is refused as not finite.
         with np.errstate(over="ignore", invalid="ignore"):
             reactions = np.sqrt(self.problem.comm.allreduce(float(held @ held)))
-        b.array[self.problem.constrained] = 0
+        self.problem.clear(b.array)
         return float(reactions)
 
     def tangent(self, projected: bool = False) -> None:

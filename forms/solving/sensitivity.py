@@ -215,10 +215,9 @@ class Sensitivity:
         self._set(adjoint)
         held = np.zeros(len(lam))
         if any(s.moves_supports for s in self.slopes):
-            rows = problem.constrained
             found = explicit + self._transposed()
             found -= 0 if self.border is None else nu * self.border.by_state
-            held[rows] = found[rows]
+            held[:] = problem.held_part(found)
         pairs = zip(self.parameters, self.slopes, strict=True)
         return [self._by(m, slopes, held, c, nu) for m, slopes in pairs]
 
@@ -253,8 +252,10 @@ class Sensitivity:
     def _by(self, m: Any, slopes: Slopes, held: Array, c: list[Array], nu: float) -> Any:
         if isinstance(m, Support):
             found = fem.Function(self.problem.u.function_space, name="gradient")
-            rows = held_by(self.problem, m)
-            found.x.array[rows] = held[rows]
+            rows, by = held_by(self.problem, m), held.copy()
+            if self.problem.slants is not None:
+                self.problem.slants.pull(by)
+            found.x.array[rows] = by[rows]
             found.x.scatter_forward()
             return found
         weighted = slopes.weighted(c, nu)

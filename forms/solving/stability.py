@@ -91,6 +91,8 @@ def lowest_modes(problem: Problem, n: int = 1) -> tuple[list[float], list[fem.Fu
     diagonal = A.getDiagonal()
     diagonal.array[problem.constrained] = 1e6 * typical  # not among the lowest ones
     A.setDiagonal(diagonal)
+    if problem.slants is not None:
+        problem.slants.apply(A, 1e6 * typical)
     solver = SLEPc.EPS().create(problem.comm)
     solver.setOperators(A)
     solver.setProblemType(SLEPc.EPS.ProblemType.HEP)

@@ -39,7 +39,10 @@ def free_motions(problem: Problem) -> list[str]:
     modes = _modes(x, dim)
     dofs = numbers[: owned * dim]
     held = np.isin(dofs, problem.constrained)
-    resisted = problem.comm.allreduce(modes[held].T @ modes[held])
+    kept = modes[held]
+    if problem.slants is not None:
+        kept = np.concatenate([kept, problem.slants.held(modes, dofs)])
+    resisted = problem.comm.allreduce(kept.T @ kept)
     values, vectors = np.linalg.eigh(resisted)
     free = vectors[:, values <= HELD * max(values.max(), 1.0)]
     if free.size:

@@ -190,7 +190,7 @@ class Tangent:
 
     def _hold(self, ksp: PETSc.KSP, b: PETSc.Vec, step: PETSc.Vec) -> None:
         """Keep supports exact: multigrid's coarse levels may move them by its tolerance."""
-        step.array[self.problem.constrained] = 0
+        self.problem.clear(step.array)
         if self.spoiled:
             step.set(0)
         self.kept.count()

@@ -9,6 +9,7 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from .. import _checks
 from ..files.checkpoint import Archive, Checkpoint
 from ..paths import Path, check_record
 from ..problems import Problem
@@ -85,6 +86,7 @@ def control(
             f"{type(functional).__name__} and {len(targets)} targets."
         )
     problem = problem_for(potential, u, supports, virtual_work)
+    _checks.form_of(functional, problem.u.function_space.mesh, "a functional")
     archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of control")
     newton = newton_for(problem, options, prefix, rtol, ctol, "never", settings, factorized=True)
     path = Path(problem.u, problem, begin=float(q.value), held=(q, functional))

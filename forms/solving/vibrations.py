@@ -94,7 +94,8 @@ def frequencies(
     if number is not None and not 0 < number < np.inf:
         raise ValueError(f"frequencies need a mass density rho > 0 [kg/m^3], got {number:g}.")
     free = np.setdiff1d(field.dofs, found.constrained)
-    most = found.comm.allreduce(len(free))
+    slanted = 0 if found.slants is None else found.slants.count
+    most = found.comm.allreduce(len(free) - slanted)
     if not 1 <= count <= most:
         raise ValueError(f"frequencies are from 1 to {most} here, got count = {count}.")
     if rho is None:
@@ -110,6 +111,8 @@ def frequencies(
         M = inertia.matrix()
         rows = (found.constrained + M.getOwnershipRange()[0]).astype(PETSc.IntType)
         M.zeroRowsColumns(rows, diag=0.0)
+        if found.slants is not None:
+            found.slants.apply(M, 0.0)
         values, modes = _lowest(found, K, M, free, count, most)
         for matrix in (K, M):
             matrix.destroy()

@@ -128,7 +128,7 @@ class TimeSteps:
     def _norm(self, forces: np.ndarray) -> float:
         """Norm of forces where nothing is prescribed. Collective."""
         free = forces.copy()
-        free[self.path.problem.constrained] = 0
+        self.path.problem.clear(free)
         return float(np.sqrt(self.path.problem.comm.allreduce(float(free @ free))))
 
     def propose(self) -> Convergence:

@@ -84,6 +84,9 @@ class Action:
         x.copy(ours)
         ours.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
         self._x.x.array[self._held] = 0
+        slants = self._problem.slants
+        if slants is not None:
+            slants.clear(self._x.x.array)
         with self._y.localForm() as local:
             local.set(0)
             if self._moduli is not None:
@@ -93,6 +96,8 @@ class Action:
         self._y.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         y.array[:] = self._y.array_r
         y.array[self._problem.constrained] = x.array_r[self._problem.constrained]
+        if slants is not None:
+            slants.mix(x.array_r, y.array)
 
     def destroy(self) -> None:
         """Free the matrix, which refers to this one."""

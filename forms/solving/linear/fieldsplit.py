@@ -53,7 +53,7 @@ class FieldSplit:
         owned = self._Q.dofmap.index_map.size_local
         self._rank = np.argsort(np.argsort(pressures[:owned]))
         self._p = np.sort(pressures[:owned])
-        self._held = np.flatnonzero(np.isin(self._u, problem.constrained)).astype(np.int32)
+        self._problem = problem
         first = W.dofmap.index_map.local_range[0]
         self._sets = [
             PETSc.IS().createGeneral((own + first).astype(PETSc.IntType), comm=self._comm)
@@ -119,7 +119,13 @@ class FieldSplit:
         below.setOptionsPrefix(f"{self._prefix}pressure_")
         below.setFromOptions()
         self._levels = OrderMultigrid(
-            self._V, self._held, above, self._prefix, added=False, order=self._order
+            self._V,
+            self._problem,
+            above,
+            self._prefix,
+            added=False,
+            order=self._order,
+            rows=self._u.astype(np.int32),
         )
 
     def _mass_matrix(self) -> PETSc.Mat:

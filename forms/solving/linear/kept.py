@@ -63,7 +63,7 @@ class Kept:
         kind = preset.get("pc_type") if self.used else None
         if kind == "mg":
             V = problem.u.function_space
-            self._levels = OrderMultigrid(V, problem.constrained, ksp, prefix)
+            self._levels = OrderMultigrid(V, problem, ksp, prefix)
         elif kind == "python":
             self._blocks = FieldSplit(problem, ksp, prefix)
         self._ksp, self.stale, self.due = ksp, False, True
@@ -177,7 +177,7 @@ class Kept:
         b, x = A.createVecLeft(), A.createVecRight()
         begin, end = b.getOwnershipRange()
         b.array[:] = np.sin(1.0 + 0.7 * np.arange(begin, end) ** 1.5)
-        b.array[self._problem.constrained] = 0
+        self._problem.clear(b.array)
         ksp.getPC().setReusePreconditioner(True)
         ksp.setTolerances(rtol=PROBED, max_it=self._most)
         self._probing = True

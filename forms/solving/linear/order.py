@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
+from ...problems import Problem
 from .presets import aggregation
 from .rigid import rigid_modes
 
@@ -34,26 +35,37 @@ class OrderMultigrid:
 
     Args:
         V: Space of displacements of degree 2 or more.
-        constrained: Local numbers of the owned rows that are supported.
+        problem: Problem with the supports.
         ksp: Solver whose preconditioner this is; its other options are left alone.
         prefix: Prefix of the options of both levels: smoother_ and coarse_.
         added: The sum, as a Krylov method wants it, or the product, as one application of many.
         order: Owned degrees of freedom of V in the order of the rows, where it is another one.
+        rows: Owned numbers of the unknown whose rows are meant, ascending, where they are not all.
     """
 
     def __init__(
         self,
         V: fem.FunctionSpace,
-        constrained: NDArray[np.int32],
+        problem: Problem,
         ksp: PETSc.KSP,
         prefix: str,
         added: bool = True,
         order: NDArray[np.intp] | None = None,
+        rows: NDArray[np.int32] | None = None,
     ) -> None:
         cell = V.mesh.basix_cell()
         element = basix.ufl.element("Lagrange", cell, 1, shape=(V.mesh.geometry.dim,))
         V1 = fem.functionspace(V.mesh, element)
-        self.P = _without_supports(fem_petsc.interpolation_matrix(V1, V), constrained, order)
+        held = problem.constrained
+        if rows is not None:
+            held = np.flatnonzero(np.isin(rows, held)).astype(np.int32)
+        self.P = _without_supports(fem_petsc.interpolation_matrix(V1, V), held, order)
+        if problem.slants is not None:
+            free, kept = problem.slants.matrix(rows), self.P
+            self.P = free.matMult(kept)
+            self.P.setBlockSizes(*kept.getBlockSizes())
+            for item in (free, kept):
+                item.destroy()
         self._modes = rigid_modes(V1)
         self.coarse: PETSc.Mat | None = None
         self._pc = ksp.getPC()
