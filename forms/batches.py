@@ -102,6 +102,7 @@ class Batch:
         form: Expanded form over cells, with quadrature degrees.
         derived: Function that returns the form whose kernels these are, if that is another: one
             that follows from it, and need not be written where its kernels are in the cache.
+        recipe: What it follows by, in words that change when that does.
         several: Several cells at once or not at all.
 
     Attributes:
@@ -112,12 +113,13 @@ class Batch:
         self,
         form: ufl.Form,
         derived: Callable[[], ufl.Form] | None = None,
+        recipe: str = "",
         several: bool = False,
     ) -> None:
         domain = form.ufl_domain()
         mesh = _dolfinx.cpp_mesh(domain)
         self.mesh = mesh
-        self.found = None if dependents(form) else kernels(mesh.comm, form, derived)
+        self.found = None if dependents(form) else kernels(mesh.comm, form, derived, recipe)
         if self.found is None and several:
             return
         if self.found is None:

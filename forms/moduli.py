@@ -9,6 +9,7 @@ for every energy: products and cell matrices of several cells at a time (kernels
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable
 from typing import Any
@@ -131,7 +132,7 @@ class _Rule:
             pairs = zip(integrals, made, strict=True)
             return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
 
-        self._batch = Batch(ufl.Form(integrals), derived)
+        self._batch = Batch(ufl.Form(integrals), derived, inspect.getsource(_moduli))
         points = basix.make_quadrature(cell, degree)[0]
         self.text = _text(V, points)
         self._lib, self._ffi = element_library(mesh.comm, self.text)
