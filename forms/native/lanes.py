@@ -32,7 +32,6 @@ from . import jit
 from .canonical import canonical
 from .library import cells_library
 
-
 _WRITER = Path(__file__).read_text()  # what is in the cache was written by the same lines
 
 
