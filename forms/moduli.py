@@ -9,6 +9,7 @@ for every energy: products and cell matrices of several cells at a time (kernels
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable
 from typing import Any
@@ -24,7 +25,7 @@ from ufl.algorithms import expand_derivatives
 
 from . import _dolfinx
 from ._types import Expr
-from .batches import Batch
+from .batches import Batch, geometry, is_over_cells
 from .compilation import compiled
 from .differentiation import expanded, nodes
 from .entities import with_owned_entities
@@ -131,17 +132,13 @@ class _Rule:
             pairs = zip(integrals, made, strict=True)
             return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
 
-        self._batch = Batch(ufl.Form(integrals), derived)
+        self._batch = Batch(ufl.Form(integrals), derived, inspect.getsource(_moduli))
         points = basix.make_quadrature(cell, degree)[0]
         self.text = _text(V, points)
         self._lib, self._ffi = element_library(mesh.comm, self.text)
         self.size = (V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * V.dofmap.bs
         self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
-        table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh), np.int32)
-        self._geometry = self._ffi.new("geometry_t *")
-        self._geometry.nodes, self._geometry.numbers = table.shape[1], self._at("int32_t *", table)
-        self._geometry.x = self._at("double *", mesh.geometry.x)
-        self._keep = table, mesh.geometry.x
+        self._geometry, self._keep = geometry(self._ffi, mesh)
         self._kept: list[tuple[Any, Any, NDArray]] = []  # part, its cells, moduli
 
     def _at(self, kind: str, array: NDArray) -> Any:
@@ -208,10 +205,7 @@ def _is_one_vector(tangent: ufl.Form) -> bool:
 
 def _has_moduli(integral: Any) -> bool:
     """Whether an integral over cells contains its arguments in gradients only."""
-    if integral.integral_type() != "cell":
-        return False
-    metadata = integral.metadata()
-    if metadata.get("quadrature_rule", "default") != "default":
+    if not is_over_cells(integral):
         return False
     alone: set[Any] = set()
     for e in nodes(integral.integrand()):

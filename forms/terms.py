@@ -21,6 +21,7 @@ from ufl.algorithms.analysis import extract_constants
 
 from . import _checks, _dolfinx, insertion
 from .barriers import Barrier, Barriers
+from .batches import Sums
 from .compilation import compiled
 from .differentiation import Dependent, dependents, expanded
 from .kinematics import circumference, is_revolved
@@ -132,6 +133,7 @@ class FormTerm:
         self.residual_form, self.tangent_form = compiled(R), compiled(K)
         self.projected_form: fem.Form | None = None
         self.moduli: Moduli | None = None
+        self._sums: tuple[Sums, Sums] | None = None  # energy and residual
         self._action: fem.Form | None = None
         self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
         self.constants = tuple(c for part in parts for c in extract_constants(part))
@@ -152,7 +154,8 @@ class FormTerm:
         if self.energy_form is None:
             return None
         with np.errstate(all="ignore"):
-            own = fem.assemble_scalar(self.energy_form)
+            sums = self._sums
+            own = fem.assemble_scalar(self.energy_form) if sums is None else sums[0].value()
             return float(self._u.function_space.mesh.comm.allreduce(own))
 
     def create_vector(self) -> PETSc.Vec:
@@ -165,7 +168,11 @@ class FormTerm:
 
     def residual(self, b: PETSc.Vec) -> None:
         """Add the residual at u; no boundary condition enters."""
-        fem_petsc.assemble_vector(b, self.residual_form)
+        if self._sums is None:
+            fem_petsc.assemble_vector(b, self.residual_form)
+            return
+        with b.localForm() as local:
+            self._sums[1].add(local.array)
 
     def lift(self, b: PETSc.Vec) -> None:
         """Add K (prescribed - u): the change of the residual by a linear move to the supports."""
@@ -197,13 +204,14 @@ class FormTerm:
         insertion.assemble(A, form, self._conditions, moduli)
 
     def use_moduli(self) -> None:
-        """Compile the moduli, by which the tangent is assembled from now on, once. Collective.
+        """Compile moduli and kernels of several cells, which assemble from now on. Collective.
 
         They pay from some thousand cells on; a tangent that is not symmetric has none.
         """
         if self.moduli is None and self.symmetric:
             moduli = Moduli(self.tangent_ufl)
-            self.moduli = moduli if moduli.rules else None
+            if moduli.rules:
+                self.moduli, self._sums = moduli, (Sums(self.potential), Sums(self.residual_ufl))
 
     def prepare_projection(self) -> None:
         """Compile the projected tangent, once. Collective.

@@ -14,6 +14,7 @@ from dolfinx import mesh as dolfinx_mesh
 
 from variform import forms, meshes
 from variform.forms import energies
+from variform.forms.batches import Sums
 from variform.forms.moduli import Moduli, split
 from variform.forms.native import jit
 from variform.forms.native.library import measured
@@ -102,12 +103,19 @@ def difference(K, u):
 @pytest.mark.parametrize("width", [2, 4, 8])
 @pytest.mark.parametrize("energy", [branches, functions, fields, singular])
 def test_products_are_the_matrix_s(energy, width, monkeypatch):
-    """K x by kernels of several cells, 1e-14 of the largest: branches, functions, coefficients."""
+    """K x, R and energy by kernels of several cells, 1e-14: branches, functions, coefficients."""
     usual = jit.flags(MPI.COMM_SELF)
     monkeypatch.setattr(jit, "flags", lambda comm: [*usual, f"-DWIDTH={width}"])
     body, u = strip()
-    K = forms.tangent(forms.residual(energy(forms.deformation_gradient(u), u, body) * ufl.dx, u), u)
-    assert difference(K, u) < 1e-14
+    psi = energy(forms.deformation_gradient(u), u, body) * ufl.dx
+    R = forms.residual(psi, u)
+    assert difference(forms.tangent(R, u), u) < 1e-14
+    b = fem.assemble_vector(forms.compiled(R)).array
+    found = np.zeros_like(b)
+    Sums(R).add(found)
+    assert found == pytest.approx(b, abs=1e-13 * np.abs(b).max())
+    value = fem.assemble_scalar(forms.compiled(psi))
+    assert Sums(psi).value() == pytest.approx(value, rel=1e-14)
 
 
 def test_regions_have_moduli_of_their_own():

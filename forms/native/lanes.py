@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from mpi4py import MPI
@@ -30,6 +31,8 @@ from .. import _dolfinx
 from . import jit
 from .canonical import canonical
 from .library import cells_library
+
+_WRITER = Path(__file__).read_text()  # what is in the cache was written by the same lines
 
 
 class Kernels(NamedTuple):
@@ -53,7 +56,10 @@ class Kernels(NamedTuple):
 
 
 def kernels(
-    comm: MPI.Comm, form: ufl.Form, derived: Callable[[], ufl.Form] | None = None
+    comm: MPI.Comm,
+    form: ufl.Form,
+    derived: Callable[[], ufl.Form] | None = None,
+    recipe: str = "",
 ) -> Kernels | None:
     """Compile a form's kernels for several cells at once. Collective.
 
@@ -62,6 +68,7 @@ def kernels(
         form: Expanded form of integrals over cells, by which the kernels are found again.
         derived: Function that returns the form to compile, which follows from that one and has no
             other coefficients and Constants; called where it is not in the cache.
+        recipe: What it follows by: another recipe has other kernels in the cache.
 
     Returns:
         None where a function of the form has no vectors, or FFCx is of a release whose tree is
@@ -76,7 +83,7 @@ def kernels(
         isinstance(e, scalar) for part in parts for e in unique_pre_traversal(part)
     ):
         return None
-    name = _dolfinx.signature(canonical(form), "lanes" if derived is None else "lanes, derived")
+    name = _dolfinx.signature(canonical(form), f"{_WRITER} {recipe}")
     text = functools.partial(_text, form, derived or (lambda: form))
     lib, ffi = cells_library(comm, name, text)
     count, *lengths = lib.lanes_counts
