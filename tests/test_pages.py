@@ -376,6 +376,30 @@ def test_the_citation_has_what_its_format_requires():
     assert all(isinstance(citation[key], str) for key in ("message", "title", "version", "license"))
 
 
+def test_workflows_run_what_there_is():
+    """They are YAML with jobs of steps, and each command of theirs names what exists."""
+    yaml = pytest.importorskip("yaml")
+    files = sorted((GITHUB / "workflows").glob("*.yml"))
+    assert [file.stem for file in files] == ["site", "tests"]
+    for file in files:
+        workflow = yaml.safe_load(file.read_text())
+        steps = [step for job in workflow["jobs"].values() for step in job["steps"]]
+        assert all(("uses" in step) != ("run" in step) for step in steps)
+        typed = [step["run"] for step in steps if "run" in step]
+        assert typed and all(re.match(STARTS, command) for command in typed)
+        assert [word for command in typed for word in wrong_words(command)] == []
+
+
+def test_the_paper_has_the_figures_of_the_benchmark():
+    """Its table is that of the page, row by row; all that is cited is listed, and no more."""
+    paper, list_ = ((ROOT / name).read_text() for name in ("paper.md", "paper.bib"))
+    rows = re.findall(r"^\|.*\|$", paper, re.MULTILINE)
+    page = (ROOT / "demos" / "benchmarks" / "README.md").read_text()
+    assert len(rows) == 6 and [row for row in rows if f"\n{row}\n" not in page] == []
+    cited = set(re.findall(r"@(\w+)", paper))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),$", list_, re.MULTILINE))
+
+
 def test_the_energy_of_contributing_is_right():
     """Uniaxially P = mu Jm (l - l^-2) / (Jm - I1 + 3)."""
     block = next(code for kind, code, _ in fences(CONTRIBUTING) if kind == "python")

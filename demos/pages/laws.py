@@ -135,6 +135,7 @@ LAWS = {
     "pages": "links, code, commands and names of every page are there; forms for contributors",
     "walk": "in a fresh clone all that the pages show is typed, and no file of it changes",
     "browser": "a notebook's solutions and its slider in Chromium (ENTER_SITE=1 docker/enter)",
+    "site": "the rendered site: no dead link, no raw TeX, no error in Chromium (ENTER_SITE=1)",
     "house": "imports point down as drawn, no circle, private names at home, one import name",
     "package": "wheel, versions, imports, the first screen of the README",
 }
