@@ -27,20 +27,19 @@ class ThicknessStretch(fem.Function):
     A function of the displacement: dF33[du] = - (d2psi/dF33 dF : DF[du]) / d2psi/dF33^2, by which
     :func:`forms.derivative` differentiates through it. ``update`` runs Newton's method point by
     point; a point where it does not converge becomes NaN, so that a solve refuses the state.
+
+    Args:
+        V: Functions at quadrature points.
+        written: F, d2psi/dF33 dF, dpsi/dF33 and d2psi/dF33^2 with the stretch that it is given.
     """
 
-    def __init__(self, u: fem.Function, psi: Callable[[Expr], Expr], degree: int) -> None:
-        mesh = u.function_space.mesh
-        Q = basix.ufl.quadrature_element(mesh.basix_cell(), degree=degree)
-        super().__init__(fem.functionspace(mesh, Q), name="thickness_stretch")
+    def __init__(
+        self, V: fem.FunctionSpace, written: Callable[[ThicknessStretch], tuple[Expr, ...]]
+    ) -> None:
+        super().__init__(V, name="thickness_stretch")
         self.x.array[:] = 1
-        self.F = _embed(u, self)
-        P = ufl.diff(psi(self.F), self.F)
-        A = ufl.diff(P, self.F)
-        i, J = ufl.indices(2)
-        self._mixed = ufl.as_tensor(A[2, 2, i, J], (i, J))
-        self._stress, self._slope = P[2, 2], A[2, 2, 2, 2]
-        points = Q.custom_quadrature()[0]
+        self.written = self.F, self._mixed, self._stress, self._slope = written(self)
+        mesh, points = V.mesh, V.ufl_element().custom_quadrature()[0]
         self._newton = jit.expression(ufl.as_vector([self._stress, self._slope]), points, mesh)
         imap = mesh.topology.index_map(mesh.topology.dim)
         self._cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
@@ -109,4 +108,14 @@ def plane_stress(u: fem.Function, psi: Callable[[Expr], Expr], degree: int | Non
         )
     if degree is None:
         degree = 2 * u.function_space.element.basix_element.degree
-    return ThicknessStretch(u, psi, degree).F
+
+    def written(stretch: ThicknessStretch) -> tuple[Expr, ...]:
+        F = _embed(u, stretch)
+        P = ufl.diff(psi(F), F)
+        A = ufl.diff(P, F)
+        i, J = ufl.indices(2)
+        return F, ufl.as_tensor(A[2, 2, i, J], (i, J)), P[2, 2], A[2, 2, 2, 2]
+
+    mesh = u.function_space.mesh
+    Q = basix.ufl.quadrature_element(mesh.basix_cell(), degree=degree)
+    return ThicknessStretch(fem.functionspace(mesh, Q), written).F

@@ -94,8 +94,8 @@ def point_load(u: Expr, point: Sequence[float], force: Expr) -> ufl.Form:
     mesh, k = _interpolated(u, "a point load")
     f = _constant_force(u, force, "a point load")
     x = _point(mesh, point, "a point load")
-    load, dx = representer(mesh, k, x[None], np.ones(1), "the point")
-    return -load * ufl.inner(f, u) * dx
+    load = representer(mesh, k, x[None], np.ones(1), "the point")
+    return -load * ufl.inner(f, u) * load.dx
 
 
 def line_load(u: Expr, a: Sequence[float], b: Sequence[float], force: Expr) -> ufl.Form:
@@ -127,8 +127,8 @@ def line_load(u: Expr, a: Sequence[float], b: Sequence[float], force: Expr) -> u
     s = (cuts[:-1, None] + parts[:, None] * (1 + y) / 2).ravel()
     weights = length * (parts[:, None] * w / 2).ravel()
     x = first + s[:, None] * (last - first)
-    load, dx = representer(mesh, k, x, weights, "the line's point")
-    return -load * ufl.inner(f, u) * dx
+    load = representer(mesh, k, x, weights, "the line's point")
+    return -load * ufl.inner(f, u) * load.dx
 
 
 def dead_traction(u: Expr, t: Expr, ds: ufl.Measure) -> ufl.Form:

@@ -93,14 +93,41 @@ def require_inside(mesh: Any, x: Array, distance: Array, tolerance: float, what:
 
 
 class Representer(fem.Function):
-    """Function whose integrals are values at points, as long as the mesh stays where it is."""
+    """Function g with int g v dx = sum_i w_i v(x_i): values at points that move with the mesh.
+
+    Args:
+        V: Discontinuous functions.
+        cells: The cell of each point that this rank owns.
+        values: w_i phi(x_i) of its functions, a row for each.
+    """
+
+    def __init__(self, V: fem.FunctionSpace, cells: NDArray[np.int32], values: Array) -> None:
+        super().__init__(V, name="load")
+        self._cells, self._values = cells, values
+        mesh, degree = V.mesh, 2 * V.ufl_element().embedded_superdegree
+        cell_type = getattr(basix.CellType, mesh.topology.cell_name())
+        points, self._rule = basix.make_quadrature(cell_type, degree)
+        self._phi = V.ufl_element().tabulate(0, points)[0]
+        self._scale = jit.expression(abs(ufl.JacobianDeterminant(mesh)), points, mesh)
+        self.dx = ufl.dx(domain=mesh, metadata={"quadrature_degree": degree})
+        self.renew()
+
+    def renew(self) -> None:
+        """Bring the function up to date with the places of the mesh's nodes. Collective."""
+        V = self.function_space
+        self.x.array[:] = 0.0
+        for cell, values in zip(self._cells, self._values, strict=True):
+            scale = self._scale.eval(V.mesh, np.array([cell])).ravel()
+            M = self._phi.T @ ((self._rule * scale)[:, None] * self._phi)
+            self.x.array[V.dofmap.cell_dofs(int(cell))] += np.linalg.solve(M, values)
+        self.x.scatter_forward()
 
 
-def representer(mesh: Any, k: int, x: Array, weights: Array, what: str) -> tuple[Any, ufl.Measure]:
-    """Function g and measure with int g v dx = sum_i w_i v(x_i) for every v of degree k.
+def representer(mesh: Any, k: int, x: Array, weights: Array, what: str) -> Representer:
+    """Function g with a measure and int g v dx = sum_i w_i v(x_i) for every v of degree k.
 
     In the cell K at x_i, g = sum_a c_a phi_a with M c = w_i phi(x_i), M_ab = int_K phi_a phi_b by
-    the rule of the measure returned: exact by construction, in curved cells, too. Collective.
+    the rule of the measure ``g.dx``: exact by construction, in curved cells, too. Collective.
 
     Args:
         mesh: Mesh.
@@ -115,23 +142,15 @@ def representer(mesh: Any, k: int, x: Array, weights: Array, what: str) -> tuple
     cells, distance = cells_at(mesh, x)
     require_inside(mesh, x, distance, 1e-8, what)
     V = fem.functionspace(mesh, ("Discontinuous Lagrange", k))
-    g, probe = Representer(V, name="load"), fem.Function(V)
-    cell_type = getattr(basix.CellType, mesh.topology.cell_name())
-    points, rule = basix.make_quadrature(cell_type, 2 * k)
-    scale = jit.expression(abs(ufl.JacobianDeterminant(mesh)), points, mesh)
-    phi = V.ufl_element().tabulate(0, points)[0]
-    for i in np.flatnonzero(cells >= 0):
+    probe, mine = fem.Function(V), np.flatnonzero(cells >= 0)
+    values = np.empty((len(mine), V.dofmap.dof_layout.num_dofs))
+    for row, i in zip(values, mine, strict=True):
         cell = cells[i : i + 1]
-        dofs = V.dofmap.cell_dofs(int(cell[0]))
-        values = np.empty(len(dofs))
-        for a, dof in enumerate(dofs):
+        for a, dof in enumerate(V.dofmap.cell_dofs(int(cell[0]))):
             probe.x.array[dof] = 1.0
-            values[a] = probe.eval(x[i : i + 1], cell)[0]
+            row[a] = weights[i] * probe.eval(x[i : i + 1], cell)[0]
             probe.x.array[dof] = 0.0
-        M = phi.T @ ((rule * scale.eval(mesh, cell).ravel())[:, None] * phi)
-        g.x.array[dofs] += weights[i] * np.linalg.solve(M, values)
-    g.x.scatter_forward()
-    return g, ufl.dx(domain=mesh, metadata={"quadrature_degree": 2 * k})
+    return Representer(V, cells[mine], values)
 
 
 def crossings(mesh: Any, a: Array, b: Array) -> Array:

@@ -5,6 +5,9 @@ On the shape x = X + u that is known, u a function of x, so that f = dX/dx = I -
 
     F = f^-1,  Grad v = grad v f^-1,  dX = det f dx,  N dA = det f f^-T n da.
 
+On a surface in space, x = x(xi) and J = dx/dxi, what stands for f^-1 is J J0^+ with J0 = f J and
+J0^+ = (J0^T J0)^-1 J0^T. A force at a point of the body, or on a piece of a line, is the same.
+
 Elements on x, carried to X, are elements there with the same points of integration, so that the
 equations are those of the body at rest, to the last digit.
 Source: Govindjee, Mihalic, Comput. Methods Appl. Mech. Engrg. 136 (1996) 47-57.
@@ -23,7 +26,8 @@ from ufl.corealg.multifunction import MultiFunction
 
 from . import _dolfinx
 from ._types import Expr
-from .differentiation import Dependent, expanded
+from .condensation import ThicknessStretch
+from .differentiation import contains, expanded
 from .operators.jets import Jet, Jets
 from .points import Representer
 from .unknowns import Field
@@ -37,21 +41,27 @@ def on_given_shape(form: ufl.Form, field: Field) -> ufl.Form:
         field: Its displacement; in the form returned a function of the known places.
 
     Raises:
-        ValueError: integrals between cells, second gradients, or coefficients that this is not
-            known of: condensed plane stress, loads at points.
+        ValueError: integrals between cells or over the rim of a surface, second gradients, or
+            geometry that this is not known of.
     """
     form = expand_derivatives(expanded(form))
     mapped = _Given(form.ufl_domain(), field)
     form = map_integrand_dags(mapped, form)
     integrals = []
     for integral in form.integrals():
-        kind = integral.integral_type()
+        kind, integrand = integral.integral_type(), integral.integrand()
         if kind not in ("cell", "exterior_facet"):
             raise ValueError(
                 f"unload knows integrals over cells and exterior facets, got one of type {kind}."
             )
-        factor = mapped.volume if kind == "cell" else mapped.area
-        integrals.append(integral.reconstruct(integrand=integral.integrand() * factor))
+        if kind != "cell" and mapped.area is None:
+            raise ValueError(
+                "unload knows no loads on the rim of a surface: give them per area, or at points."
+            )
+        # The integrals of these are forces at points, whatever the volume of the cell.
+        if not contains(integrand, Representer):
+            integrand *= mapped.volume if kind == "cell" else mapped.area
+        integrals.append(integral.reconstruct(integrand=integrand))
     return ufl.Form(integrals)
 
 
@@ -63,11 +73,18 @@ class _Given(MultiFunction):
         d = _dolfinx.geometric_dimension(domain)
         self._u = field.expression
         f = ufl.Identity(d) - expand_derivatives(ufl.grad(self._u))
-        n = ufl.FacetNormal(domain)
-        self._inverse, self.volume = ufl.inv(f), ufl.det(f)
-        self._normal = self._inverse.T * n
-        self.area = self.volume * ufl.sqrt(ufl.inner(self._normal, self._normal))
+        J = ufl.Jacobian(domain)
+        self._jacobian, self.area = f * J, None
+        if _dolfinx.topological_dimension(domain) == d:
+            self._inverse, self.volume = ufl.inv(f), ufl.det(f)
+            self._normal = self._inverse.T * ufl.FacetNormal(domain)
+            self.area = self.volume * ufl.sqrt(ufl.inner(self._normal, self._normal))
+        else:
+            metric = self._jacobian.T * self._jacobian
+            self._inverse = J * ufl.inv(metric) * self._jacobian.T
+            self.volume = ufl.sqrt(ufl.det(metric) / ufl.det(J.T * J))
         self._jets: dict[Jets, Jets] = {}
+        self._stretches: dict[ThicknessStretch, ThicknessStretch] = {}
 
     def expr(self, o: Expr, *operands: Expr) -> Expr:
         return self.reuse_if_untouched(o, *operands)
@@ -85,6 +102,9 @@ class _Given(MultiFunction):
     def spatial_coordinate(self, o: Expr) -> Expr:
         return o - self._u
 
+    def jacobian(self, o: Expr) -> Expr:
+        return self._jacobian
+
     def facet_normal(self, o: Expr) -> Expr:
         return self._normal / ufl.sqrt(ufl.inner(self._normal, self._normal))
 
@@ -98,14 +118,16 @@ class _Given(MultiFunction):
                 packed = [map_expr_dag(self, expand_derivatives(e)) for e in jets.packed]
                 self._jets[jets] = Jets(tuple(packed), jets.kind)
             return self._jets[jets][o.level]
-        if isinstance(o, Representer):
-            raise ValueError("unload does not know loads at points and lines: give tractions.")
-        if isinstance(o, Dependent):
-            raise ValueError(
-                "unload does not know condensed plane stress: use plane_stress_incompressible, or "
-                "a solid."
-            )
+        if isinstance(o, ThicknessStretch):
+            if o not in self._stretches:
+                ThicknessStretch(o.function_space, lambda new: self._condensed(o, new))
+            return self._stretches[o]
         return o
+
+    def _condensed(self, o: ThicknessStretch, new: ThicknessStretch) -> tuple[Expr, ...]:
+        """What a thickness stretch is written with, of the one that takes its place."""
+        self._stretches[o] = new
+        return tuple(map_expr_dag(self, expand_derivatives(e)) for e in o.written)
 
 
 def nodes_of(u: fem.Function, field: Field) -> Any:

@@ -177,6 +177,60 @@ def test_a_field_with_regularization():
     assert after < 0.02 * before and fit.names == ["m"]
 
 
+def test_covariance_of_a_field():
+    """(J^T J + H)^-1, J by differences of solves, H assembled; and what the data decide."""
+    data, m, _, smooth = blob(n=2)
+    data = forms.Data(data.problem, data.what, data.values, sigma=0.02)
+    offset = fem.Constant(m.function_space.mesh, 0.1)
+    smooth += (0.1 * m**4 + 0.3 * (m - offset) ** 2 + offset**2) * ufl.dx(degree=4)
+    given = {"m": m, "offset": offset}
+    fit = forms.fit(data, given, regularization=smooth, covariance=True, progress=False)
+    columns = []
+    for k in range(m.x.array.size):
+        found, start = [], m.x.array[k]
+        for h in (1e-4, -1e-4):
+            m.x.array[k] = start + h
+            forms.solve(data.problem, rtol=1e-12)
+            found.append(data.what.values(data.problem))
+        m.x.array[k] = start
+        columns.append((found[0] - found[1]) / 2e-4 / 0.02)
+    J = np.column_stack([*columns, np.zeros(len(columns[0]))])
+    v, du = ufl.TestFunction(m.function_space), ufl.TrialFunction(m.function_space)
+    slope = ufl.derivative(smooth, m, v)
+    H = np.zeros((J.shape[1],) * 2)
+    H[:-1, :-1] = fem.assemble_matrix(fem.form(ufl.derivative(slope, m, du))).to_dense()
+    H[-1, :-1] = H[:-1, -1] = fem.assemble_vector(fem.form(-0.6 * v * ufl.dx)).array
+    H[-1, -1] = 2.6
+    expected = np.linalg.inv(J.T @ J + H)
+    size = np.abs(expected).max()
+    assert fit.covariance == pytest.approx(expected, abs=1e-6 * size)
+    count = np.trace(expected @ J.T @ J)
+    told = f"The data decide {count:.3g} of 10 numbers, and the regularization {10 - count:.3g}."
+    assert 1 < count < 9 and fit.open == [told]
+    assert fit.spread[0].x.array == pytest.approx(fit.deviations[:-1])
+    std = fit.deviations[:-1]
+    assert f" m: 9 numbers, +- {std.min():.2g} to {std.max():.2g}" in repr(fit)
+    assert f" offset = {fit.values[-1]:.6g} +- {fit.deviations[-1]:.2g}" in repr(fit)
+
+
+def test_what_nothing_decides():
+    """A modulus in cells where it has no part is of infinite deviation, and told."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=2)
+    u, m = forms.displacement(body), fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
+    mu = ufl.conditional(ufl.lt(ufl.SpatialCoordinate(body.mesh)[0], 0.5), ufl.exp(m), 1.0)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, 2.0)
+    pull = forms.dead_traction(u, (0.0, 0.4), body.ds("top"))
+    problem = forms.Problem(psi * ufl.dx + pull, u, [forms.clamp(u, body.facets("bottom"))])
+    forms.solve(problem)
+    points = forms.Displacements([(x, y) for x in (0.0, 0.5, 1.0) for y in (0.5, 1.0)])
+    data = forms.Data(problem, points, points.values(problem).reshape(6, 2), sigma=0.01)
+    fit = forms.fit(data, m, covariance=True, progress=False)
+    middles = fem.Function(m.function_space)
+    middles.interpolate(lambda x: x[0])
+    assert np.array_equal(np.isinf(fit.spread[0].x.array), middles.x.array > 0.5)
+    assert fit.open == ["The data decide 4 of 8 numbers, and nothing decides 4."]
+
+
 SCRIPT = """
 import json
 from mpi4py import MPI
@@ -193,8 +247,9 @@ y += 1e-3 * np.random.default_rng(1).normal(size=y.shape)
 a.value = b.value = 2.0
 fit = forms.fit(forms.Data(problem, rim, y, sigma=1e-3), [a, b], progress=False)
 data, m, exact, smooth = blob(comm, 5)
-field = forms.fit(data, m, regularization=smooth, most=10, check=False, progress=False)
-moments = [forms.integral(m**k * ufl.dx) for k in (1, 2)]
+few = {"most": 10, "check": False, "progress": False}
+field = forms.fit(data, m, regularization=smooth, covariance=True, **few)
+moments = [forms.integral(f * ufl.dx) for f in (m, m**2, field.spread[0])]
 if comm.rank == 0:
     print(json.dumps([*fit.values.tolist(), *fit.deviations.tolist(), *moments]))
 """
@@ -222,6 +277,7 @@ def test_ranks_agree(parallel):
         ("path", "data belong to a forms.Problem, got Path"),
         ("bounds", r"bounds are 2 pairs \(least, largest\), one for each parameter"),
         ("name", "bounds are of the parameters mu, lmbda, got nu"),
+        ("dense", "finds a covariance of 2000 numbers at most, got 2880: leave it out"),
         ("nothing", "fit needs data, one or several forms.Data"),
         ("points", r"at finite points of shape \(k, 2\) or \(k, 3\), got \(1, 4\)"),
     ],
@@ -232,6 +288,7 @@ def test_bad_input_gets_one_sentence(change, message):
     data = forms.Data(problem, force, y, t=t, loads=LOADS)
     both = {"mu": mu, "lmbda": lmbda}
     other = fem.Constant(problem.u.function_space.mesh, 7.0)
+    fine = fem.Function(fem.functionspace(problem.u.function_space.mesh, ("DG", 3, (3,))))
     quiet = {"progress": False}
     calls = {
         "few": lambda: forms.fit(forms.Data(problem, force, 0.1), both, **quiet),
@@ -247,6 +304,7 @@ def test_bad_input_gets_one_sentence(change, message):
         "path": lambda: forms.Data(forms.solve(problem), force, y),
         "bounds": lambda: forms.fit(data, both, bounds=[(0, 1)], **quiet),
         "name": lambda: forms.fit(data, both, bounds={"nu": (0, 1)}, **quiet),
+        "dense": lambda: forms.fit(data, fine, covariance=True, **quiet),
         "nothing": lambda: forms.fit([], both, **quiet),
         "points": lambda: forms.Displacements([(1.0, 2.0, 3.0, 4.0)]),
     }

@@ -30,7 +30,9 @@ class Fit:
         misfit: Half the sum of the residuals' squares, and the regularization.
         covariance: Of the numbers, (J^T J)^-1 with J the Jacobian of the residuals; times the
             residuals' variance where no sigma was given. Infinite along what the data cannot tell.
-            None where Functions were fitted.
+            With a regularization g (J^T J + d2g/dm2)^-1, Laplace's approximation, and None where
+            ``fit`` was not asked for it.
+        spread: Standard deviations, for each parameter a Constant or Function of its kind.
         open: What the data leave open, a sentence for each direction.
         evaluations: How often all data were computed.
         history: The misfit at each evaluation.
@@ -44,7 +46,9 @@ class Fit:
     fitted: list[Array]
     residuals: Array
     misfit: float
+    counts: list[int]
     covariance: Array | None = None
+    spread: list[Any] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
     evaluations: int = 0
     history: list[float] = field(default_factory=list)
@@ -62,8 +66,14 @@ class Fit:
         """The numbers with their standard deviations, the misfit, and what is open."""
         lines = [f"<Fit of {len(self.residuals)} data, misfit {self.misfit:.4g}: {self.reason}"]
         if self.covariance is not None:
-            pairs = zip(self.names, self.values, self.deviations, strict=True)
-            lines += [f" {name} = {value:.6g} +- {std:.2g}" for name, value, std in pairs]
+            ends = np.cumsum(self.counts)[:-1]
+            parts = np.split(self.values, ends), np.split(self.deviations, ends)
+            for name, values, std in zip(self.names, *parts, strict=True):
+                if len(values) == 1:
+                    lines.append(f" {name} = {values[0]:.6g} +- {std[0]:.2g}")
+                else:
+                    told = f"+- {std.min():.2g} to {std.max():.2g}"
+                    lines.append(f" {name}: {len(values)} numbers, {told}")
         else:
             lines.append(f" {', '.join(self.names)}: {len(self.values)} numbers")
         return "\n".join([*lines, *(f" {sentence}" for sentence in self.open)]) + ">"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from numpy.typing import NDArray
 
 from ..parameters import Slope, check_parameters, name_of
@@ -20,11 +19,13 @@ from .linearized import Linearized
 from .numbers import Numbers
 from .progress import bar_of
 from .rates import Rate
+from .spread import curvature, decided, jacobian, like, slope_by_number
 from .visits import Visits
 
 Array = NDArray[np.float64]
 STEPS = 20  # of Gauss-Newton at the end
 STUCK = 1e-6  # distance from a bound, in a number's scale, that counts as none
+DENSE = 2000  # numbers whose covariance is an array
 TERMS = 20  # corrections that the quasi-Newton method remembers
 
 
@@ -37,6 +38,7 @@ def fit(
     tolerance: float = 1e-10,
     most: int = 1000,
     check: bool = True,
+    covariance: bool = False,
     progress: bool = True,
 ) -> Fit:
     """Find the parameters with which solutions give what was measured. Collective.
@@ -60,14 +62,17 @@ def fit(
         most: Evaluations at most.
         check: Whether the path is followed once more from the start with the final parameters, and
             the data compared: states that lie on another branch are told.
+        covariance: Whether the covariance is found of Functions, too, or with a regularization
+            (without both it always is): by one adjoint solve for each of the data, as an array of
+            all numbers, 2000 at most. Bounds have no part in it.
         progress: Show a line on rank 0.
 
     Returns:
         Fit; the parameters hold the values found, the unknowns the last state.
 
     Raises:
-        ValueError: more numbers than data without a regularization, a parameter that nothing
-            contains, data outside the body.
+        ValueError: more numbers than data without a regularization, or too many for a covariance,
+            a parameter that nothing contains, data outside the body.
         NotConverged: no solution at the first guess, or states on another branch in the end.
     """
     listed = [data] if isinstance(data, Data) else list(data)
@@ -76,7 +81,12 @@ def fit(
     names = list(parameters) if isinstance(parameters, Mapping) else None
     given = list(parameters.values()) if isinstance(parameters, Mapping) else parameters
     found = check_parameters(given, listed[0].problem, "fit", supports=False)
-    numbers = Numbers(found, names, bounds, listed[0].problem.comm)
+    numbers = Numbers(found, names, bounds, listed[0].problem.u.function_space.mesh)
+    if covariance and numbers.size > DENSE:
+        raise ValueError(
+            f"fit finds a covariance of {DENSE} numbers at most, got {numbers.size}: leave it out, "
+            "or give the field on a coarser mesh."
+        )
     count = sum(d.values.size for d in listed)
     if regularization is None and numbers.size > count:
         raise ValueError(
@@ -84,7 +94,7 @@ def fit(
             "fewer parameters."
         )
     misfit = _Misfit(listed, numbers, regularization, progress)
-    return misfit.minimized(tolerance, most, check)
+    return misfit.minimized(tolerance, most, check, covariance)
 
 
 class _Misfit:
@@ -123,7 +133,7 @@ class _Misfit:
         self._value, self._gradient = np.inf, np.empty(0)
         self._first = True
 
-    def minimized(self, tolerance: float, most: int, check: bool) -> Fit:
+    def minimized(self, tolerance: float, most: int, check: bool, covariance: bool) -> Fit:
         """The fit. Collective."""
         from scipy.optimize import least_squares, minimize
 
@@ -152,7 +162,14 @@ class _Misfit:
                 z = self._polished(z, low, high, tolerance)
             if check:
                 self._check(z)
-        return self._fit(z, bool(result.success), str(result.message))
+        fit = self._fit(z, bool(result.success), str(result.message))
+        if covariance and not self.forward:
+            self._spread(fit)
+        if fit.covariance is not None:
+            spread = like(numbers)
+            spread.put(fit.deviations)
+            fit.spread = spread.parameters
+        return fit
 
     def _polished(self, z: Array, low: Array, high: Array, tolerance: float) -> Array:
         """Gauss-Newton steps to the end: squares no longer fall long before numbers stand still."""
@@ -173,7 +190,15 @@ class _Misfit:
 
     def _fit(self, z: Array, converged: bool, reason: str) -> Fit:
         numbers = self.numbers
-        fit = Fit(numbers.names, z * numbers.scale, self.data, self.fitted, self._r, self._value)
+        fit = Fit(
+            numbers.names,
+            z * numbers.scale,
+            self.data,
+            self.fitted,
+            self._r,
+            self._value,
+            numbers.counts,
+        )
         fit.evaluations, fit.history = len(self.history), self.history
         fit.converged, fit.reason = converged, reason.rstrip(".") + "."
         low, high = numbers.low, numbers.high
@@ -182,12 +207,28 @@ class _Misfit:
         if len(bound) and not numbers.fields:
             fit.reason += f" At a bound: {', '.join(numbers.names[n] for n in bound)}."
         if self.forward:
-            spare = max(1, len(self._r) - numbers.size)
-            known = all(d.sigma is not None for d in self.data)
-            variance = 1.0 if known else float(self._r @ self._r) / spare
-            J = self._J / numbers.scale
+            J, variance = self._J / numbers.scale, self._variance(numbers.size)
             fit.covariance, fit.open = determined(J, fit.values, numbers.names, variance)
         return fit
+
+    def _variance(self, decided: float) -> float:
+        """Variance of a residual, where so many numbers were decided by the data."""
+        if all(d.sigma is not None for d in self.data):
+            return 1.0
+        return float(self._r @ self._r) / max(1.0, len(self._r) - decided)
+
+    def _spread(self, fit: Fit) -> None:
+        """Covariance of fields, and what decides them. Collective."""
+        numbers = self.numbers
+        J = np.concatenate([j for visits in self._visits for j in jacobian(visits, numbers)])
+        H = curvature(self._regularization, numbers)
+        found = decided(J, H, numbers.scale) if numbers.comm.rank == 0 else None
+        covariance, count, blind = numbers.comm.bcast(found)
+        fit.covariance = self._variance(count) * covariance
+        told = f"The data decide {count:.3g} of {numbers.size} numbers"
+        if self._regularization is not None:
+            told += f", and the regularization {numbers.size - blind - count:.3g}"
+        fit.open.append(f"{told}, and nothing decides {blind}." if blind else f"{told}.")
 
     def _residuals(self, z: Array) -> Array:
         self._evaluate(z)
@@ -246,7 +287,11 @@ class _Misfit:
             if self._regularization is not None:
                 self._value += integral(self._regularization)
                 gradient = gradient + numbers.collected(
-                    [_of(s, m) for s, m in zip(self._slopes, numbers.parameters, strict=True)]
+                    [
+                        slope_by_number(s, m)
+                        for s, m in zip(self._slopes, numbers.parameters, strict=True)
+                        if s is not None
+                    ]
                 )
             self._value = bcast(self._value)
             self._gradient = bcast(gradient * numbers.scale)
@@ -292,13 +337,3 @@ class _Misfit:
             return [(r, None) for r in residuals], gradient
         pairs = zip(residuals, J, strict=True)
         return [(r, j.reshape(-1, numbers.size)) for r, j in pairs], gradient
-
-
-def _of(slope: Slope | None, m: Any) -> Any:
-    """Derivative of the regularization by one parameter."""
-    assert slope is not None
-    if isinstance(m, fem.Constant):
-        return slope.numbers()
-    found = fem.Function(m.function_space)
-    slope.add_numbers(found)
-    return found

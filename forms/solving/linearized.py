@@ -99,12 +99,14 @@ class Linearized:
         """
         scaled = self._tangent.scaled
         reactions = scaled.residual(self._r)
-        off = self._r.norm()
+        off, level = self._r.norm(), max(reactions, scaled.unknowable())
+        if off <= OFF * level:
+            return
         diagonal = self._tangent.A.getDiagonal()
         scaled.get(self._dx)
         self._dx.pointwiseMult(self._dx, diagonal)
         diagonal.destroy()
-        level = max(reactions, self._dx.norm(), scaled.unknowable())
+        level = max(level, self._dx.norm())
         if not off <= OFF * level:
             raise ValueError(
                 f"{what} needs a state in equilibrium, got forces of {off:.2g} N out of balance "
@@ -127,8 +129,7 @@ class Linearized:
         return False
 
     def _corrected(self, b: PETSc.Vec, x: PETSc.Vec, norm: float, transposed: bool) -> bool:
-        b.copy(self._r)
-        last = norm
+        last = self._begun(b, x, norm)
         for _ in range(MOST):
             if not self._step(norm, transposed):
                 return False
@@ -148,6 +149,28 @@ class Linearized:
                 now = norm
             last = now
         return False
+
+    def _begun(self, b: PETSc.Vec, x: PETSc.Vec, norm: float) -> float:
+        """Begin at 0, or for multigrid at the multiple of u of least energy; norm of what is left.
+
+        How a body moves with what is measured on it is often much like how it has moved.
+        """
+        b.copy(self._r)
+        if not (self._own is None and self._tangent.kept.used and self.problem.symmetric):
+            return norm
+        u, r = self._dx, self._r
+        self._tangent.scaled.get(u)
+        self.problem.clear(u.array)
+        self._product(u, r, False)
+        work = u.dot(r)
+        part = u.dot(b) / work if work > 0 else 0.0
+        r.aypx(-part, b)
+        left = float(r.norm())
+        if left < norm:
+            x.axpy(part, u)
+            return left
+        b.copy(r)
+        return norm
 
     def _step(self, norm: float, transposed: bool) -> bool:
         """Solve for a correction by what there is; whether that succeeded."""

@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -22,11 +21,12 @@ class Numbers:
         parameters: Constants and Functions.
         names: Their names; None for those that they have.
         bounds: Least and largest value of each, in their order or by name; None for none.
-        comm: Communicator of their mesh.
+        mesh: Their mesh.
 
     Attributes:
         size: How many numbers.
         names: Name of each number of a Constant, of each Function.
+        counts: How many numbers each name stands for.
         scale: Size of each number, by which minimizers see it.
         low, high: Bounds of each number.
         fields: Whether there are Functions.
@@ -36,9 +36,9 @@ class Numbers:
     """
 
     def __init__(
-        self, parameters: list[Any], names: Sequence[str] | None, bounds: Any, comm: MPI.Comm
+        self, parameters: list[Any], names: Sequence[str] | None, bounds: Any, mesh: Mesh
     ) -> None:
-        self.parameters, self.comm = parameters, comm
+        self.parameters, self.mesh, self.comm = parameters, mesh, mesh.comm
         self.fields = any(isinstance(m, fem.Function) for m in parameters)
         called = [_called(m, n) for n, m in enumerate(parameters)] if names is None else list(names)
         sizes = [_size(m) for m in parameters]
@@ -48,6 +48,11 @@ class Numbers:
             name if isinstance(m, fem.Function) or m.ufl_shape == () else f"{name}{list(k)}"
             for name, m in zip(called, parameters, strict=True)
             for k in ([()] if isinstance(m, fem.Function) else np.ndindex(m.ufl_shape))
+        ]
+        self.counts = [
+            size
+            for m, n in zip(parameters, sizes, strict=True)
+            for size in ([n] if isinstance(m, fem.Function) else [1] * n)
         ]
         pairs = _pairs(bounds, called)
         self.low, self.high = (

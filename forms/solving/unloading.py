@@ -13,12 +13,13 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
-from ufl.algorithms.analysis import extract_type
+from ufl.algorithms.analysis import extract_coefficients, extract_type
 
 from .. import _dolfinx
 from .._parallel import bounding_box
 from ..native import jit
 from ..paths import NotConverged, Path
+from ..points import Representer
 from ..problems import Problem
 from ..rest import nodes_of, on_given_shape
 from .following import follow, solve
@@ -68,7 +69,8 @@ def unload(
     mesh's places as those under load (the unknown is u as a function of them), while t goes to its
     value; then the mesh is moved to the places at rest, where u, the problem and its forms hold as
     they were written. Loads are those of the body at rest: a dead traction is a force per area
-    there, a follower pressure is one in either shape.
+    there, a follower pressure is one in either shape. Loads at points and lines, which are given
+    where these are in the loaded shape, move with the body and keep their forces.
 
     Args:
         problem: Of a potential and virtual works in UFL; the mesh in its loaded shape, of the order
@@ -86,8 +88,8 @@ def unload(
         The path, the given places, and how well they are met again.
 
     Raises:
-        ValueError: displacements of another degree than the mesh, terms that are no forms, loads at
-            points, condensed plane stress, supports that turn, directions of another kind.
+        ValueError: displacements of another degree than the mesh, terms that are no forms, loads
+            on the rim of a surface, supports that turn, directions of another kind.
         NotConverged: no shape at rest beyond a load factor, which is told; the mesh is as it was.
 
     Source: Govindjee, Mihalic, Comput. Methods Appl. Mech. Engrg. 136 (1996) 47-57.
@@ -125,6 +127,9 @@ def unload(
     finally:
         inverse.destroy()
     mesh.geometry.x[:] -= nodes_of(u, field)
+    for load in extract_coefficients(problem.forms.residual_ufl):
+        if isinstance(load, Representer):
+            load.renew()
     problem.destroy()
     found = Unloaded(path, known, turns=turns)
     if check:
@@ -138,9 +143,8 @@ def _checked(problem: Any, t: Any) -> Any:
         raise ValueError(f"unload needs a forms.Problem, got {type(problem).__name__}.")
     if not isinstance(t, fem.Constant):
         raise ValueError(f"unload needs a load factor, got {type(t).__name__}.")
-    mesh = problem.u.function_space.mesh
-    if problem.displacement is None or mesh.topology.dim != mesh.geometry.dim:
-        raise ValueError("unload needs a displacement of a solid or plane body, got another.")
+    if problem.displacement is None:
+        raise ValueError(f"unload needs a displacement, got the unknown {problem.u.name}.")
     if len(problem.terms) > 1:
         raise ValueError(
             "unload needs a problem of UFL forms alone, got one with other terms: it cannot write "
