@@ -28,7 +28,7 @@ if not (0, 9) <= VERSION < (0, 12):
 logging.captureWarnings(False)
 LATER = VERSION >= (0, 10)
 CUSTOM_DATA = LATER  # FFCx kernels take a pointer more
-TREES = not LATER  # FFCx's trees of kernels are those that native/lanes.py writes
+TREES = not LATER  # FFCx's trees of kernels are those that native/trees.py writes
 
 
 def geometric_dimension(domain: Any) -> int:

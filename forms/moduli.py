@@ -34,6 +34,8 @@ from .quadrature import with_quadrature
 
 ALIGNED = 64  # bytes: the largest vector register
 REPEATS = 5  # of a measurement, of which the shortest counts
+FEWEST = 500  # cells of a rank that can be measured: fewer are lost among the calls
+MOST_NODES = 64  # of a cell: the matrices of several lie on the stack
 
 
 class Moduli:
@@ -80,10 +82,14 @@ class Moduli:
     def seconds_over(self, mult: Callable[[], float], comm: MPI.Comm) -> float:
         """Time of a product over that of one with a matrix, measured once on this CPU. Collective.
 
+        0 where rank 0 has too few cells to tell.
+
         Args:
             mult: Function that does one with the rank's own part of a matrix, and takes its time.
             comm: Communicator.
         """
+        if comm.bcast(self.rules[0].cells) < FEWEST:
+            return 0.0
         return measured(
             comm, f"products {[rule.text for rule in self.rules]}", lambda: self._over(mult)
         )
@@ -135,6 +141,7 @@ class _Rule:
         self._batch = Batch(ufl.Form(integrals), derived, inspect.getsource(_moduli))
         points = basix.make_quadrature(cell, degree)[0]
         self.text = _text(V, points)
+        self.cells = mesh.topology.index_map(mesh.topology.dim).size_local
         self._lib, self._ffi = element_library(mesh.comm, self.text)
         self.size = (V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * V.dofmap.bs
         self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
@@ -200,6 +207,7 @@ def _is_one_vector(tangent: ufl.Form) -> bool:
         and element.reference_value_shape == (element.block_size,)
         and element.family_name == "P"
         and not V.element.needs_dof_transformations
+        and V.dofmap.list.shape[1] <= MOST_NODES
     )
 
 
