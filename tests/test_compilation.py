@@ -358,8 +358,10 @@ def test_the_c_code_compiles_without_a_warning(compiler, data):
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     options = ["-std=c17", "-O2", "-march=native", *STRICT, *data, "-fsyntax-only", "-x", "c"]
-    sources = [library.SOURCE / "library.c", *sorted(library.SOURCE.glob("*.h"))]
-    assert len(sources) > 8
+    headers = sorted(library.SOURCE.glob("*.h"))
+    headers.remove(library.SOURCE / "moduli.h")  # for the text of an element, as element.c has one
+    sources = [*(library.SOURCE / name for name in ("library.c", "element.c")), *headers]
+    assert len(sources) > 9
     for source in sources:
         # Functions of a header that nobody calls yet are no fault of it.
         alone = [] if source.suffix == ".c" else ["-Wno-unused-function", "-Wno-unused-variable"]
@@ -402,7 +404,19 @@ def test_structures_are_compared_with_the_librarys(monkeypatch):
     """Python's declaration of a C structure with a field less is refused when it is loaded."""
     flags = tuple(jit.flags(MPI.COMM_SELF))
     library.library(MPI.COMM_SELF)
-    shorter = library._DECLARATIONS.replace("int facets; long count;", "long count;")
-    monkeypatch.setattr(library, "_DECLARATIONS", shorter)
+    known = library._INSERTION
+    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
+    assert library._INSERTION != known
     with pytest.raises(RuntimeError, match="declares other structures than Python"):
         library._load.__wrapped__(library._path(flags))
+
+
+def test_structures_are_compared_with_those_of_generated_code(monkeypatch):
+    """The same of the loops for an element, built of a text of their own."""
+    text = (library.SOURCE / "element.c").read_text()
+    library.element_library(MPI.COMM_SELF, text)
+    known = library._INSERTION
+    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
+    with pytest.raises(RuntimeError, match=r"declares other structures.*insertion\.h have to be"):
+        path = library._path(tuple(jit.flags(MPI.COMM_SELF)), text)
+        library._load_made.__wrapped__(path, library._ELEMENT, "moduli")
