@@ -149,7 +149,7 @@ class _Lowering:
         self.comm = self.mesh.comm
         self.project = project and len(form.arguments()) == 2
         self.arguments, self.assembled = form.arguments(), assembled
-        self.subdomains = form.subdomain_data()[self.domain]
+        self.given = form
         self.rules: dict[tuple[str, int], _Rule] = {}
         self.pure: dict[tuple[str, int], bool] = {}
         # The stand-ins are created after the form's coefficients and so come after them.
@@ -289,7 +289,7 @@ class _Lowering:
         integrals: dict[Any, Any] = {}
         for k, (kind, number, _) in enumerate(found):
             entities = _dolfinx.integration_entities(
-                self.mesh, _TYPES[kind], self._subdomain(kind), number
+                self.mesh, _TYPES[kind], subdomain(self.given, kind), number
             )
             integrals.setdefault(_TYPES[kind], []).append(
                 (_address(self.ffi, self.lib.kernels[k]), entities, len(self.real))
@@ -307,15 +307,6 @@ class _Lowering:
         vars(form)["_kernels"] = kernels
         weakref.finalize(form, self.lib.integrals_release, first, len(found))
         return form
-
-    def _subdomain(self, kind: str) -> Any:
-        different = {id(d): d for d in self.subdomains.get(kind, ()) if d is not None}
-        if len(different) > 1:
-            raise ValueError(
-                f"the form has {len(different)} different sets of tags for its {kind} integrals: "
-                "take all measures from one body, or one ufl.Measure."
-            )
-        return next(iter(different.values()), None)
 
     def _all_constants(self) -> list[Any]:
         return [*self.constants, *(c for o in self.operands for c in o.constants)]
@@ -375,6 +366,22 @@ class _Lowering:
         for k, (c, size) in enumerate(zip(operand.coefficients, sizes, strict=True)):
             record.piece[k] = [position, starts[c], size]
             position += size
+
+
+def subdomain(form: ufl.Form, kind: str) -> Any:
+    """Tags of a form's integrals of a type; None where they have none.
+
+    Raises:
+        ValueError: several sets of them.
+    """
+    listed = form.subdomain_data()[form.ufl_domain()].get(kind, ())
+    different = {id(d): d for d in listed if d is not None}
+    if len(different) > 1:
+        raise ValueError(
+            f"the form has {len(different)} different sets of tags for its {kind} integrals: "
+            "take all measures from one body, or one ufl.Measure."
+        )
+    return next(iter(different.values()), None)
 
 
 def _numbers(subdomain_id: Any) -> list[int]:

@@ -22,6 +22,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from . import _dolfinx, _petsc
+from .native import records
 from .native.library import library
 
 _NAME = "variform_insertion"
@@ -163,7 +164,6 @@ class _Insertion:
         cells = imap.size_local + imap.num_ghosts
         owned, size = V.dofmap.index_map.size_local, V.dofmap.bs
         numbers = np.ascontiguousarray(V.dofmap.map()[:cells], np.int32)
-        table = np.ascontiguousarray(_dolfinx.geometry_dofmap(mesh)[:cells], np.int32)
         ghosts = V.dofmap.index_map.ghosts
         self._held = np.zeros((owned + len(ghosts)) * size, np.int8)
         for condition in conditions:
@@ -197,11 +197,9 @@ class _Insertion:
         )
         if not found:
             raise OverflowError("a row of the tangent is too long for places of two bytes.")
-        self._geometry = self._ffi.new("geometry_t *")
-        self._geometry.nodes, self._geometry.numbers = table.shape[1], self._at(table)
-        self._geometry.x = self._at(mesh.geometry.x)
-        self._room = np.empty((nodes * size) ** 2), np.empty(3 * table.shape[1])
-        self._keep = numbers, table, mesh.geometry.x, [part.rows for part in parts]
+        self._geometry, places = records.geometry(self._ffi, mesh)
+        self._room = np.empty((nodes * size) ** 2), np.empty(3 * self._geometry.nodes)
+        self._keep = numbers, places, [part.rows for part in parts]
 
     def _at(self, array: NDArray) -> Any:
         """Address of an array that lives as long as it is used."""
@@ -234,13 +232,8 @@ class _Insertion:
         constants, left_out = _dolfinx.constants(form), 0
         integrals = zip(vars(form)["_kernels"], _dolfinx.integrals(form), strict=True)
         for kernel, (kind, entities, coefficients) in integrals:
-            part = self._ffi.new("part_t *")
-            part.kernel = self._ffi.cast("tabulate_t", kernel)
-            part.facets = kind == fem.IntegralType.exterior_facet
-            entities = np.ascontiguousarray(entities, np.int32)
-            part.count = entities.size // _WIDTHS[kind]
-            part.entities = self._at(entities)
-            part.width, part.coefficients = coefficients.shape[1], self._at(coefficients)
+            facets = kind == fem.IntegralType.exterior_facet
+            part, _kept = records.part(self._ffi, kernel, entities, coefficients, facets=facets)
             left_out += self._lib.insertion_add(
                 self._matrix, part, self._geometry, self._at(constants), *map(self._at, self._room)
             )

@@ -25,10 +25,11 @@ from ufl.algorithms import expand_derivatives
 
 from . import _dolfinx
 from ._types import Expr
-from .batches import Batch, geometry, is_over_cells
+from .batches import is_over_cells, one_by_one, several
 from .compilation import compiled
 from .differentiation import expanded, nodes
 from .entities import with_owned_entities
+from .native import records
 from .native.library import element_library, measured
 from .quadrature import with_quadrature
 
@@ -64,10 +65,6 @@ class Moduli:
             _Rule([i for i in own if i.metadata()["quadrature_degree"] == d], tangent, d)
             for d in degrees
         ]
-
-    def __bool__(self) -> bool:
-        """Whether any integral has moduli."""
-        return bool(self.rules)
 
     def fill(self) -> None:
         """Compute the moduli at the present state, to be kept for :meth:`multiply`. Local."""
@@ -138,14 +135,16 @@ class _Rule:
             pairs = zip(integrals, made, strict=True)
             return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
 
-        self._batch = Batch(ufl.Form(integrals), derived, inspect.getsource(_moduli))
+        recipe = inspect.getsource(_moduli)
+        found = several(ufl.Form(integrals), derived, recipe)
+        self._batch = one_by_one(derived()) if found is None else found
         points = basix.make_quadrature(cell, degree)[0]
         self.text = _text(V, points)
         self.cells = mesh.topology.index_map(mesh.topology.dim).size_local
         self._lib, self._ffi = element_library(mesh.comm, self.text)
         self.size = (V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * V.dofmap.bs
         self._numbers = np.ascontiguousarray(V.dofmap.list, np.int32)
-        self._geometry, self._keep = geometry(self._ffi, mesh)
+        self._geometry, self._keep = records.geometry(self._ffi, mesh)
         self._kept: list[tuple[Any, Any, NDArray]] = []  # part, its cells, moduli
 
     def _at(self, kind: str, array: NDArray) -> Any:
@@ -215,14 +214,11 @@ def _has_moduli(integral: Any) -> bool:
     """Whether an integral over cells contains its arguments in gradients only."""
     if not is_over_cells(integral):
         return False
-    alone: set[Any] = set()
-    for e in nodes(integral.integrand()):
-        arguments = [o for o in e.ufl_operands if isinstance(o, ufl.classes.Argument)]
-        if arguments and not isinstance(e, ufl.classes.Grad):
-            alone.update(arguments)
-        if isinstance(e, ufl.classes.Grad) and isinstance(e.ufl_operands[0], ufl.classes.Grad):
-            return False
-    return not alone
+    gradient, argument = ufl.classes.Grad, ufl.classes.Argument
+    pairs = [(e, o) for e in nodes(integral.integrand()) for o in e.ufl_operands]
+    alone = any(isinstance(o, argument) and not isinstance(e, gradient) for e, o in pairs)
+    second = any(isinstance(e, gradient) and isinstance(o, gradient) for e, o in pairs)
+    return not (alone or second)
 
 
 def _moduli(integral: Any, tangent: ufl.Form) -> Expr:

@@ -22,8 +22,8 @@ from ufl.algorithms.analysis import extract_constants, extract_type
 from . import _checks, _dolfinx
 from ._parallel import bounding_box
 from ._types import Expr
+from .directions import Slant, coordinate_axis, slant
 from .native import jit
-from .slants import Slant, coordinate_axis, slant
 from .unknowns import Field, field_of
 
 Facets = NDArray[np.int32]

@@ -8,7 +8,7 @@ import ufl
 from dolfinx import fem
 
 from variform import forms, meshes
-from variform.forms.slants import Slant
+from variform.forms.directions import Slant
 from variform.forms.supports import Support
 
 MU, LMBDA = 1.0, 10.0

@@ -4,9 +4,7 @@
 import io
 import os
 import random
-import shutil
 import signal
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +20,7 @@ from dolfinx import fem
 
 from demos.benchmarks.kills import kill, start
 from variform.forms import energies
-from variform.forms.native import canonical, jit, library, once
+from variform.forms.native import canonical, jit, once
 from variform.forms.operators import energy as operators
 from variform.forms.operators import stretches
 
@@ -348,29 +346,6 @@ def test_what_is_there_is_used_without_a_lock(tmp_path, monkeypatch):
     assert place.read_text() == "whole"
 
 
-STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wcast-qual", "-Wpedantic", "-Werror"]
-
-
-@pytest.mark.parametrize("data", [[], ["-DVARIFORM_CUSTOM_DATA"]], ids=["0.9", "0.10"])
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_the_c_code_compiles_without_a_warning(compiler, data):
-    """The library, and each of its headers by itself, for both of DOLFINx's kernel signatures."""
-    if shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is not installed")
-    options = ["-std=c17", "-O2", "-march=native", *STRICT, *data, "-fsyntax-only", "-x", "c"]
-    headers = sorted(library.SOURCE.glob("*.h"))
-    headers.remove(library.SOURCE / "moduli.h")  # for the text of an element, as element.c has one
-    sources = [*(library.SOURCE / name for name in ("library.c", "element.c")), *headers]
-    assert len(sources) > 9
-    for source in sources:
-        # Functions of a header that nobody calls yet are no fault of it.
-        alone = [] if source.suffix == ".c" else ["-Wno-unused-function", "-Wno-unused-variable"]
-        text = f'#include "{source}"\n'
-        command = [compiler, *options, *alone, "-"]
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{source.name}: {done.stderr}"
-
-
 COMPILER = """#!/bin/sh
 for word; do
     case $word in {refused}) echo "unknown value 'native' for $word" >&2; exit 1 ;; esac
@@ -398,25 +373,3 @@ def test_a_compiler_without_march_native_is_served(refused, native, tmp_path, mo
         assert [f for f in jit.flags(MPI.COMM_SELF) if "native" in f] == native
     finally:
         jit._native.cache_clear()
-
-
-def test_structures_are_compared_with_the_librarys(monkeypatch):
-    """Python's declaration of a C structure with a field less is refused when it is loaded."""
-    flags = tuple(jit.flags(MPI.COMM_SELF))
-    library.library(MPI.COMM_SELF)
-    known = library._INSERTION
-    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
-    assert library._INSERTION != known
-    with pytest.raises(RuntimeError, match="declares other structures than Python"):
-        library._load.__wrapped__(library._path(flags))
-
-
-def test_structures_are_compared_with_those_of_generated_code(monkeypatch):
-    """The same of the loops for an element, built of a text of their own."""
-    text = (library.SOURCE / "element.c").read_text()
-    library.element_library(MPI.COMM_SELF, text)
-    known = library._INSERTION
-    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
-    with pytest.raises(RuntimeError, match=r"declares other structures.*insertion\.h have to be"):
-        path = library._path(tuple(jit.flags(MPI.COMM_SELF)), text)
-        library._load_made.__wrapped__(path, library._ELEMENT, "moduli")

@@ -6,6 +6,7 @@ That they do for all kinds of cells and supports, on any number of ranks: test_i
 
 from mpi4py import MPI
 
+import ffcx.codegeneration.lnodes as tree
 import numpy as np
 import pytest
 import ufl
@@ -16,7 +17,7 @@ from variform import forms, meshes
 from variform.forms import energies
 from variform.forms.batches import Sums
 from variform.forms.moduli import Moduli, split
-from variform.forms.native import jit
+from variform.forms.native import jit, trees
 from variform.forms.native.library import measured
 
 # Of 11 cells: lanes that are full and that are not, whatever the width.
@@ -192,6 +193,45 @@ def test_moduli_are_those_of_the_last_fill():
     assert np.abs(after - before).max() > 1e-3 * np.abs(after).max()
 
 
+def test_functions_without_vectors_are_computed_cell_by_cell():
+    """Bessel's: FFCx's own kernels, with the same numbers."""
+    _, u = strip()
+    psi = ufl.bessel_J(1, ufl.tr(forms.deformation_gradient(u))) * ufl.dx
+    R = forms.residual(psi, u)
+    assert Moduli(forms.tangent(R, u)).rules[0]._batch.found is None
+    assert difference(forms.tangent(R, u), u) < 1e-14
+    b = fem.assemble_vector(forms.compiled(R)).array
+    found = np.zeros_like(b)
+    Sums(R).add(found)
+    assert np.array_equal(found, b)
+
+
+def test_matrices_too_large_for_the_stack_have_no_moduli():
+    """Hexahedra of degree 4 have 125 nodes: their tangent is FFCx's."""
+    body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(1, 1, 1), cells="hexahedron")
+    for degree, count in ((3, 1), (4, 0)):
+        u = forms.displacement(body, degree)
+        psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+        own, rest = split(forms.tangent(forms.residual(psi, u), u))
+        assert (len(own), len(rest)) == (count, 1 - count)
+
+
+def test_an_array_that_begins_with_numbers_is_refused():
+    """FFCx begins sums with zeros; anything else would be written wrongly."""
+    start = tree.ArrayDecl(tree.Symbol("x", tree.DataType.SCALAR), sizes=2, values=np.ones(2))
+    with pytest.raises(RuntimeError, match="begins with other numbers than zeros"):
+        trees._Formatter().c_format(start)
+
+
+def test_few_cells_are_not_measured(monkeypatch):
+    """Eleven cells would tell how long a call takes: products go without a matrix, as elsewhere."""
+    monkeypatch.setattr("variform.forms.moduli.measured", lambda *_: pytest.fail("measured"))
+    _, u = strip()
+    psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    moduli = Moduli(forms.tangent(forms.residual(psi, u), u))
+    assert moduli.seconds_over(lambda: 1.0, MPI.COMM_SELF) == 0
+
+
 def test_what_is_measured_is_measured_once(tmp_path, monkeypatch):
     """Runs on one CPU decide alike: the first one's measurement is kept beside the kernels."""
     monkeypatch.setattr(jit, "folder", lambda: tmp_path)
@@ -225,4 +265,5 @@ def test_a_release_with_other_trees_gets_ffcx_s_own_kernels(monkeypatch):
     _, u = strip()
     psi = energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0)
     K = forms.tangent(forms.residual(psi * ufl.dx, u), u)
+    assert Moduli(K).rules[0]._batch.found is None
     assert difference(K, u) < 1e-14

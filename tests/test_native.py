@@ -4,6 +4,7 @@
 import ctypes
 import json
 import shlex
+import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,8 +20,7 @@ from dolfinx import fem
 
 from variform import forms
 from variform.forms import energies
-from variform.forms.native import jit
-from variform.forms.native.library import library
+from variform.forms.native import jit, library
 
 NO_COMPILER = """
 from mpi4py import MPI
@@ -83,7 +83,7 @@ def test_the_clamp_is_1e_6():
 
 def test_only_indefinite_cells_pay_for_eigenvalues():
     """Rigid modes and unknowns without stiffness are no reason: a factorization tells that."""
-    lib, ffi = library(MPI.COMM_SELF)
+    lib, ffi = library.library(MPI.COMM_SELF)
     lapack = ctypes.CDLL(PETSc.__file__)
     factorize, eigen = (
         ffi.cast("void *", ctypes.cast(f, ctypes.c_void_p).value)
@@ -243,3 +243,48 @@ def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch)
     done = run("-c", SANITIZED, cwd=tmp_path)
     assert done.stdout.strip() == "finished"
     assert list((tmp_path / "cache" / "fenics").glob("libvariform_*"))
+
+
+STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wcast-qual", "-Wpedantic", "-Werror"]
+
+
+@pytest.mark.parametrize("data", [[], ["-DVARIFORM_CUSTOM_DATA"]], ids=["0.9", "0.10"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_the_c_code_compiles_without_a_warning(compiler, data):
+    """The library, and each of its headers by itself, for both of DOLFINx's kernel signatures."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    options = ["-std=c17", "-O2", "-march=native", *STRICT, *data, "-fsyntax-only", "-x", "c"]
+    headers = sorted(library.SOURCE.glob("*.h"))
+    headers.remove(library.SOURCE / "moduli.h")  # for the text of an element, as element.c has one
+    sources = [*(library.SOURCE / name for name in ("library.c", "element.c")), *headers]
+    assert len(sources) > 9
+    for source in sources:
+        # Functions of a header that nobody calls yet are no fault of it.
+        alone = [] if source.suffix == ".c" else ["-Wno-unused-function", "-Wno-unused-variable"]
+        text = f'#include "{source}"\n'
+        command = [compiler, *options, *alone, "-"]
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{source.name}: {done.stderr}"
+
+
+def test_structures_are_compared_with_the_librarys(monkeypatch):
+    """Python's declaration of a C structure with a field less is refused when it is loaded."""
+    flags = tuple(jit.flags(MPI.COMM_SELF))
+    library.library(MPI.COMM_SELF)
+    known = library._INSERTION
+    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
+    assert library._INSERTION != known
+    with pytest.raises(RuntimeError, match="declares other structures than Python"):
+        library._load.__wrapped__(library._path(flags))
+
+
+def test_structures_are_compared_with_those_of_generated_code(monkeypatch):
+    """The same of the loops for an element, built of a text of their own."""
+    text = (library.SOURCE / "element.c").read_text()
+    library.element_library(MPI.COMM_SELF, text)
+    known = library._INSERTION
+    monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
+    with pytest.raises(RuntimeError, match=r"declares other structures.*insertion\.h have to be"):
+        path = library._path(tuple(jit.flags(MPI.COMM_SELF)), text)
+        library._load_made.__wrapped__(path, library._ELEMENT, "moduli")

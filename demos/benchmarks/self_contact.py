@@ -30,6 +30,8 @@ from variform.forms import dissipation
 
 from .record import Table, insert, markdown, save
 
+HOW = {"scheme": "bdf2", "refuse_inverted": True, "progress": False}
+
 TURNS, NEARER = 4.0, 0.3
 
 
@@ -144,12 +146,10 @@ def bar(h=0.05, turns=TURNS, nearer=NEARER, time=20.0, to=None, alpha=2.0, parts
         t,
         to=to or time,
         rho=1.0,
-        scheme="bdf2",
         tolerance=1e-3,
         dissipation=dissipation.mass_damping(alpha),
-        refuse_inverted=True,
         on_step=watch,
-        progress=False,
+        **HOW,
     )
     return watch, path
 
@@ -216,12 +216,10 @@ def cloth(n=24, time=12.0, alpha=4.0, show=False, to=None):
         t,
         to=[time / 2, time] if to is None else to,
         rho=0.01,
-        scheme="bdf2",
         tolerance=2e-3,
         dissipation=dissipation.mass_damping(alpha),
-        refuse_inverted=True,
         on_step=watch,
-        progress=False,
+        **HOW,
     )
     return watch, path
 
