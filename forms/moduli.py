@@ -3,8 +3,9 @@
 
 Of a tangent's integral over cells, linear in the gradients of both its functions, all that depends
 on the energy is a symmetric matrix at each point: the moduli, with respect to the gradients on the
-reference cell. FFCx compiles them, as values at the points of the rule, and the rest is the same
-for every energy: products and cell matrices of several cells at a time (kernels/moduli.h).
+reference cell. Of one that is linear in their values, as inertia's is, it is one with respect to
+these. FFCx compiles them, as values at the points of the rule, and the rest is the same for every
+energy: products and cell matrices of several cells at a time (kernels/moduli.h).
 """
 
 from __future__ import annotations
@@ -21,22 +22,17 @@ import basix.ufl
 import numpy as np
 import ufl
 from numpy.typing import NDArray
-from ufl.algorithms import expand_derivatives
 
 from . import _dolfinx
-from ._types import Expr
-from .batches import is_over_cells, one_by_one, several
+from .batches import one_by_one, several
 from .compilation import compiled
-from .differentiation import expanded, nodes
-from .entities import with_owned_entities
 from .native import records
 from .native.library import element_library, measured
-from .quadrature import with_quadrature
+from .splitting import is_shared, moduli_of, of_degree, split
 
 ALIGNED = 64  # bytes: the largest vector register
-REPEATS = 5  # of a measurement, of which the shortest counts
+REPEATS = 10  # of a measurement, of which the shortest counts
 FEWEST = 500  # cells of a rank that can be measured: fewer are lost among the calls
-MOST_NODES = 64  # of a cell: the matrices of several lie on the stack
 
 
 class Moduli:
@@ -45,26 +41,23 @@ class Moduli:
     B[aA, bB] = w |det J| sum_ij d2psi/dG_ai dG_bj  J^-1_Ai J^-1_Bj,  G = grad u,
 
     at each point of weight w, J the Jacobian of the cell; symmetric, so that of 9 rows in space 45
-    numbers are kept. With them  K = sum_q D^T B D,  D the gradients of the shape functions.
+    numbers are kept. With them  K = sum_q D^T B D,  D the gradients of the shape functions; or
+    B[a, b] = w |det J| d2psi/du_a du_b,  and D their values.
 
     Args:
         tangent: Bilinear form, symmetric.
 
     Attributes:
-        rest: Compiled integrals that have none: over facets, of the functions themselves, of
-            elements that are not those of one vector of Lagrange elements. None for nothing.
+        rest: Compiled integrals that have none: over facets, of values times gradients, of elements
+            that are not those of one vector of Lagrange elements. None for nothing.
         rest_ufl: The same in UFL.
     """
 
     def __init__(self, tangent: ufl.Form) -> None:
-        own, rest = split(tangent)
+        groups, rest = split(tangent)
         self.rest_ufl = ufl.Form(rest) if rest else None
         self.rest = compiled(self.rest_ufl) if rest else None
-        degrees = sorted({i.metadata()["quadrature_degree"] for i in own})
-        self.rules = [
-            _Rule([i for i in own if i.metadata()["quadrature_degree"] == d], tangent, d)
-            for d in degrees
-        ]
+        self.rules = [_Rule(own, tangent, *kind) for kind, own in groups.items()]
 
     def fill(self) -> None:
         """Compute the moduli at the present state, to be kept for :meth:`multiply`. Local."""
@@ -79,17 +72,20 @@ class Moduli:
     def seconds_over(self, mult: Callable[[], float], comm: MPI.Comm) -> float:
         """Time of a product over that of one with a matrix, measured once on this CPU. Collective.
 
+        Once for each size of a rank's part, up to a factor of two.
+
         0 where rank 0 has too few cells to tell.
 
         Args:
             mult: Function that does one with the rank's own part of a matrix, and takes its time.
             comm: Communicator.
         """
-        if comm.bcast(self.rules[0].cells) < FEWEST:
+        cells = comm.bcast(self.rules[0].cells)
+        if cells < FEWEST:
             return 0.0
-        return measured(
-            comm, f"products {[rule.text for rule in self.rules]}", lambda: self._over(mult)
-        )
+        # By powers of two of the cells: a small matrix is in the CPU's caches.
+        name = f"products {[rule.text for rule in self.rules]} {cells.bit_length()}"
+        return measured(comm, name, lambda: self._over(mult))
 
     def _over(self, mult: Callable[[], float]) -> float:
         self.fill()
@@ -101,7 +97,9 @@ class Moduli:
             self.multiply(x, y)
             return time.perf_counter() - start
 
-        return min(product() for _ in range(REPEATS)) / min(mult() for _ in range(REPEATS))
+        # By turns, so that what else the machine does falls on both.
+        seconds = np.array([(product(), mult()) for _ in range(REPEATS)])
+        return float(np.divide(*seconds.min(axis=0)))
 
     def add(self, target: Any) -> int:
         """Add the tangent at the present state to the arrays of an insertion. Local.
@@ -118,28 +116,35 @@ class _Rule:
     Args:
         integrals: Those of this rule, expanded.
         tangent: Form that they are of.
+        derivatives: 1 of integrals of gradients, 0 of values.
         degree: Quadrature degree.
     """
 
-    def __init__(self, integrals: list[Any], tangent: ufl.Form, degree: int) -> None:
+    def __init__(
+        self, integrals: list[Any], tangent: ufl.Form, derivatives: int, degree: int
+    ) -> None:
         V: Any = tangent.arguments()[0].ufl_function_space()
         mesh, domain = V.mesh, tangent.ufl_domain()
         cell = getattr(basix.CellType, _dolfinx.cell_name(domain.ufl_cell()))
-        rows = V.dofmap.bs * mesh.topology.dim
-        element = basix.ufl.quadrature_element(cell, degree=degree)
+        rows = V.dofmap.bs * (mesh.topology.dim if derivatives else 1)
+        shared = is_shared(integrals, domain)
+        if shared:  # one point has them for all
+            integrals = [of_degree(i, 0) for i in integrals]
+        element = basix.ufl.quadrature_element(cell, degree=0 if shared else degree)
         values = basix.ufl.blocked_element(element, shape=(rows * (rows + 1) // 2,))
         test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
 
         def derived() -> ufl.Form:
-            made = [ufl.inner(_moduli(i, tangent), test) for i in integrals]
+            made = [ufl.inner(moduli_of(i, tangent, derivatives), test) for i in integrals]
             pairs = zip(integrals, made, strict=True)
             return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
 
-        recipe = inspect.getsource(_moduli)
+        recipe = f"{inspect.getsource(moduli_of)} {derivatives}"
         found = several(ufl.Form(integrals), derived, recipe)
         self._batch = one_by_one(derived()) if found is None else found
-        points = basix.make_quadrature(cell, degree)[0]
-        self.text = _text(V, points)
+        points, weights = basix.make_quadrature(cell, degree)
+        scales = np.sqrt(weights / weights.sum()) if shared else None
+        self.text = _text(V, points, derivatives, scales)
         self.cells = mesh.topology.index_map(mesh.topology.dim).size_local
         self._lib, self._ffi = element_library(mesh.comm, self.text)
         self.size = (V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * V.dofmap.bs
@@ -185,76 +190,26 @@ class _Rule:
         )
 
 
-def split(tangent: ufl.Form) -> tuple[list[Any], list[Any]]:
-    """Integrals of a tangent that have moduli, expanded, and those that have none."""
-    form = with_quadrature(with_owned_entities(expand_derivatives(expanded(tangent))))
-    own: list[Any] = []
-    rest: list[Any] = []
-    fits = _is_one_vector(tangent)
-    for integral in form.integrals():
-        (own if fits and _has_moduli(integral) else rest).append(integral)
-    return own, rest
+def _text(
+    V: Any, points: NDArray[np.float64], derivatives: int, scales: NDArray[np.float64] | None
+) -> str:
+    """C code of an element at points, for kernels/moduli.h: its gradients, or its values.
 
-
-def _is_one_vector(tangent: ufl.Form) -> bool:
-    """Whether both arguments are those of one vector of Lagrange elements."""
-    V, other = (a.ufl_function_space() for a in tangent.arguments())
-    element = V.ufl_element()
-    return bool(
-        V == other
-        and V.dofmap.bs == element.block_size > 1
-        and element.reference_value_shape == (element.block_size,)
-        and element.family_name == "P"
-        and not V.element.needs_dof_transformations
-        and V.dofmap.list.shape[1] <= MOST_NODES
-    )
-
-
-def _has_moduli(integral: Any) -> bool:
-    """Whether an integral over cells contains its arguments in gradients only."""
-    if not is_over_cells(integral):
-        return False
-    gradient, argument = ufl.classes.Grad, ufl.classes.Argument
-    pairs = [(e, o) for e in nodes(integral.integrand()) for o in e.ufl_operands]
-    alone = any(isinstance(o, argument) and not isinstance(e, gradient) for e, o in pairs)
-    second = any(isinstance(e, gradient) and isinstance(o, gradient) for e, o in pairs)
-    return not (alone or second)
-
-
-def _moduli(integral: Any, tangent: ufl.Form) -> Expr:
-    """Upper triangle of the moduli, without the weights and the volume, as a vector."""
-    test, trial = tangent.arguments()
-    inverse = ufl.JacobianInverse(tangent.ufl_domain())
-    size, dim = test.ufl_shape[0], inverse.ufl_shape[0]
-
-    def unit(row: int) -> Expr:
-        """Gradient of a field whose gradient on the reference cell is 1 in one component."""
-        a, A = divmod(row, dim)
-        columns = range(inverse.ufl_shape[1])
-        return ufl.as_tensor(
-            [[inverse[A, i] if c == a else 0 for i in columns] for c in range(size)]
-        )
-
-    given, rows = integral.integrand(), range(size * dim)
-    columns = [ufl.replace(given, {ufl.grad(trial): unit(c)}) for c in rows]
-    return ufl.as_vector(
-        [ufl.replace(columns[c], {ufl.grad(test): unit(r)}) for r in rows for c in rows if c >= r]
-    )
-
-
-def _text(V: Any, points: NDArray[np.float64]) -> str:
-    """C code of an element at points, for kernels/moduli.h."""
-    scalar = V.element.basix_element
-    gradients = scalar.tabulate(1, points)[1:, :, :, 0]  # (reference directions, points, nodes)
-    gradients[abs(gradients) < 1e-14] = 0
-    table = np.ascontiguousarray(gradients.transpose(1, 2, 0)).tolist()
-    written = repr(table).replace("[", "{").replace("]", "}")
+    Scaled at each point where a cell has one set of moduli.
+    """
+    tables = V.element.basix_element.tabulate(derivatives, points)[derivatives:, :, :, 0]
+    tables[abs(tables) < 1e-14] = 0  # shape (reference directions, points, nodes)
+    if scales is not None:
+        tables *= scales[:, None]
+    written = repr(np.ascontiguousarray(tables.transpose(1, 2, 0)).tolist())
     corners = _dolfinx.geometry_dofmap(V.mesh).shape[1]
-    dim, count, nodes = gradients.shape
+    dim, count, nodes = tables.shape
     return (
         f"#define NODES {nodes}\n#define POINTS {count}\n#define SIZE {V.dofmap.bs}\n"
         f"#define DIM {dim}\n#define CORNERS {corners}\n"
-        f"static const double G[{count}][{nodes}][{dim}] = {written};\n"
+        f"#define SETS {count if scales is None else 1}\n"
+        f"static const double G[{count}][{nodes}][{dim}] = "
+        f"{written.replace('[', '{').replace(']', '}')};\n"
         '#include "moduli.h"\n'
     )
 

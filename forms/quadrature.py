@@ -56,6 +56,14 @@ def default_degree(kind: str, k: int) -> int:
     return 2 * k if kind == "cell" else max(2 * k, 3 * k - 1)
 
 
+def is_straight(domain: Any) -> bool:
+    """Whether a mesh is of straight-sided simplices, where derivatives of places are constant."""
+    return (
+        _dolfinx.cell_name(domain.ufl_cell()) in SIMPLICES
+        and domain.ufl_coordinate_element().embedded_superdegree == 1
+    )
+
+
 def quadrature_degree(integral: Any, k: int) -> int:
     """Default degree for one integral of a form of displacements of degree k.
 
@@ -68,11 +76,7 @@ def quadrature_degree(integral: Any, k: int) -> int:
     kind = integral.integral_type()
     most = default_degree(kind, k)
     domain = integral.ufl_domain()
-    straight = (
-        _dolfinx.cell_name(domain.ufl_cell()) in SIMPLICES
-        and domain.ufl_coordinate_element().embedded_superdegree == 1
-    )
-    if kind != "cell" or not straight:
+    if kind != "cell" or not is_straight(domain):
         return most
     return min(most, max(1, 2 * _degree(integral.integrand(), k, {})))
 

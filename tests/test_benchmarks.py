@@ -300,7 +300,10 @@ def test_benchmark_of_scaling_runs(run, tmp_path):
     assert kinds == expected
     one, two = (row for row in rows if row["what"] == "strong")
     assert one["dofs"] == two["dofs"] and one["stored"] == two["stored"]
-    assert abs(one["iterations"] - two["iterations"]) <= 2 and one["Newton"] == two["Newton"]
+    assert one["energy"] == pytest.approx(two["energy"], rel=1e-10)
+    # Aggregates end at the border of a rank: the linear solves differ, to tolerances of their own.
+    assert abs(one["iterations"] - two["iterations"]) <= 2
+    assert abs(one["Newton"] - two["Newton"]) <= 1
     assert one["SpMV [B]"] == 0 and one["SpMV, messages"] == 0
     # A cut has 9 x 9 nodes of 3 numbers; a product needs at least the half of them it does not own.
     assert 12 * 81 <= two["SpMV [B]"] <= 2 * 24 * 81 and two["SpMV, messages"] == 1

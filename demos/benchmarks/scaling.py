@@ -108,7 +108,7 @@ def measured(element, m):
     row = {"element": element, "m": m, "ranks": COMM.size, "dofs": system.size}
     row |= {"cells": sum(cells), "imbalance": max(cells) * COMM.size / sum(cells)}
     row |= {"halo of a vector [B]": 8 * dofs.bs * ghosts, **about}
-    row |= {"Newton": end.iterations, "linear": end.linear_iterations}
+    row |= {"Newton": end.iterations, "linear": end.linear_iterations, "energy": system.energy()}
     row |= {"memory before [MB]": round(before), "memory [MB]": round(peak())}
     for name, (largest, mean) in seconds.items():
         row |= {f"{name} [s]": float(f"{largest:.4g}"), f"{name}, mean [s]": float(f"{mean:.4g}")}

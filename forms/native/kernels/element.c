@@ -6,6 +6,7 @@
 #define SIZE 2
 #define DIM 2
 #define CORNERS 3
+#define SETS 1
 static const double G[POINTS][NODES][DIM] = {{{-1, -1}, {1, 0}, {0, 1}}};
 #include "moduli.h"
 

@@ -4,19 +4,22 @@
    Moduli are the second derivatives of the energy with respect to the gradients on the reference cell,
    weights and volumes included; their kernel computes them for one cell. What follows from them knows no
    energy but the element alone: the text that includes this file defines NODES, POINTS, SIZE (components
-   of a node) and DIM (of the reference cell), and G[POINTS][NODES][DIM], the shape functions' gradients.
+   of a node) and DIM (of the reference cell), and G[POINTS][NODES][DIM], the shape functions' gradients;
+   or, for moduli with respect to values, DIM = 1 and their values. SETS is POINTS; or 1 where the moduli
+   are the same at all points of a cell, whose weights are then in G.
    A lane is a cell; as many as the CPU's registers hold are computed at once. */
 #ifndef VARIFORM_MODULI_H
 #define VARIFORM_MODULI_H
 
 #include "vectors.h"
 
-/* Components of a gradient, and the upper triangle of a symmetric matrix of them. */
-enum { ROWS = SIZE * DIM, HALF = ROWS * (ROWS + 1) / 2, TOTAL = SIZE * NODES, BLOCKS = NODES * (NODES + 1) / 2 };
+/* Components of a gradient, the upper triangle of a symmetric matrix of them, and what a cell has of these. */
+enum { ROWS = SIZE * DIM, HALF = ROWS * (ROWS + 1) / 2, NUMBERS = SETS * HALF, NEXT = SETS > 1 ? HALF : 0 };
+enum { TOTAL = SIZE * NODES, BLOCKS = NODES * (NODES + 1) / 2 };
 
 /* What Python has to know of this file. */
 const long moduli_sizes[] = {sizeof(target_t), sizeof(part_t), sizeof(geometry_t)};
-const long moduli_shape[] = {WIDTH, POINTS * HALF};
+const long moduli_shape[] = {WIDTH, NUMBERS};
 
 static inline int upper(int r, int c)
 {
@@ -29,11 +32,11 @@ static void fill_lanes(const part_t *p, long first, const geometry_t *g, const d
   if (p->lanes) {
     lanes_t w[p->width + 1], x[3 * CORNERS];
     gather_cells(p, first, g, w, x);
-    memset(B, 0, POINTS * HALF * sizeof *B);
+    memset(B, 0, NUMBERS * sizeof *B);
     ((lanes_kernel_t)(void (*)(void))p->kernel)(B, w, constants, x);
     return;
   }
-  double out[WIDTH][POINTS * HALF], x[3 * CORNERS];
+  double out[WIDTH][NUMBERS], x[3 * CORNERS];
   const int entity = 0;
   const uint8_t perm[2] = {0, 0};
   memset(out, 0, sizeof out);
@@ -42,14 +45,14 @@ static void fill_lanes(const part_t *p, long first, const geometry_t *g, const d
     for (int i = 0; i < CORNERS; i++) memcpy(x + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
     p->kernel(out[k], p->coefficients + (first + k) * p->width, constants, x, &entity, perm VARIFORM_CUSTOM);
   }
-  for (int m = 0; m < POINTS * HALF; m++)
+  for (int m = 0; m < NUMBERS; m++)
     for (int k = 0; k < WIDTH; k++) B[m][k] = out[k][m];
 }
 
 /* Moduli of all cells of a part, whose lanes are kept together. */
 void moduli_fill(const part_t *p, const geometry_t *g, const double *constants, double *B)
 {
-  for (long first = 0; first < p->count; first += WIDTH, B += POINTS * HALF * WIDTH)
+  for (long first = 0; first < p->count; first += WIDTH, B += NUMBERS * WIDTH)
     fill_lanes(p, first, g, constants, (lanes_t *)B);
 }
 
@@ -57,7 +60,7 @@ void moduli_fill(const part_t *p, const geometry_t *g, const double *constants, 
 void moduli_product(const part_t *p, const int32_t *numbers, const double *moduli, const double *x, double *restrict y)
 {
   const lanes_t *B = (const lanes_t *)moduli;
-  for (long first = 0; first < p->count; first += WIDTH) {
+  for (long first = 0; first < p->count; first += WIDTH, B += NUMBERS - POINTS * NEXT) {
     lanes_t w[NODES][SIZE], A[NODES][SIZE];
     for (int k = 0; k < WIDTH; k++) {
       const int32_t *n = numbers + NODES * (long)p->entities[first + k < p->count ? first + k : p->count - 1];
@@ -65,7 +68,7 @@ void moduli_product(const part_t *p, const int32_t *numbers, const double *modul
         for (int a = 0; a < SIZE; a++) w[i][a][k] = x[SIZE * (long)n[i] + a];
     }
     memset(A, 0, sizeof A);
-    for (int q = 0; q < POINTS; q++, B += HALF) {
+    for (int q = 0; q < POINTS; q++, B += NEXT) {
       lanes_t D[ROWS], S[ROWS];
       for (int a = 0; a < SIZE; a++) {
         lanes_t sum[DIM];
@@ -108,7 +111,7 @@ void moduli_product(const part_t *p, const int32_t *numbers, const double *modul
 static void cell_matrices(const lanes_t *B, lanes_t K[BLOCKS][SIZE][SIZE])
 {
   memset(K, 0, BLOCKS * sizeof *K);
-  for (int q = 0; q < POINTS; q++, B += HALF) {
+  for (int q = 0; q < POINTS; q++, B += NEXT) {
     lanes_t(*block)[SIZE][SIZE] = K;
     for (int j = 0; j < NODES; j++) {
       lanes_t T[SIZE][DIM][SIZE]; /* force at a gradient of a unit displacement of j */
@@ -142,7 +145,7 @@ static void cell_matrices(const lanes_t *B, lanes_t K[BLOCKS][SIZE][SIZE])
 long moduli_add(const target_t *t, const part_t *p, const geometry_t *g, const double *constants)
 {
   long left_out = 0;
-  lanes_t B[POINTS * HALF], K[BLOCKS][SIZE][SIZE];
+  lanes_t B[NUMBERS], K[BLOCKS][SIZE][SIZE];
   double one[TOTAL * TOTAL];
   for (long first = 0; first < p->count; first += WIDTH) {
     fill_lanes(p, first, g, constants, B);

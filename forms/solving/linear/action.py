@@ -15,7 +15,9 @@ from dolfinx.fem import petsc as fem_petsc
 from ...compilation import compiled
 from ...problems import Problem
 
-DEAREST = 1.5  # products without a matrix, over those with it, that still pay
+# Products without a matrix, over those with it, that still pay: assembling a tangent costs some 20
+# of the latter, and a solve takes about as many.
+DEAREST = 2.0
 
 
 class Action:
@@ -51,10 +53,7 @@ class Action:
         self.matrix.setUp()
 
     def pays(self) -> bool:
-        """Whether it is worth while on this CPU: by moduli as measured, else always. Collective.
-
-        What it saves beside the products, assembling a tangent, is worth several of them.
-        """
+        """Whether it is worth while on this CPU: by moduli as measured, else always. Collective."""
         if self._moduli is None:
             return True
         A, x = self._A.getDiagonalBlock(), self._A.getDiagonalBlock().createVecRight()
