@@ -5,9 +5,9 @@ Between two states of a path, dPi = int (Pi_q dq + R . du_p) + work of virtual w
 potential, q the load factor, R . du_p the work of the reactions R on prescribed values u_p. What is
 left over is the integration rule's error, or energy that a jump released.
 
-Powers are integrated by polynomials in s, or in s and the powers together, s/ds + f/df over the
-states around: where a load comes to its largest value, no power is a polynomial of it, but it is
-one of the powers.
+Powers f are integrated by polynomials in s, in f, or in both together, s/ds + f/df over the states
+around: where a load comes to its largest value no power is a polynomial of it, but it is one of
+the powers.
 """
 
 from __future__ import annotations
@@ -173,21 +173,24 @@ def rows(balances: Sequence[Balance], first: int = 0, last: int | None = None) -
         last: Number of that at which they end; None for all.
     """
     found = Ledger()
-    begin, works = first, np.zeros(2)
+    sums = np.zeros(3)
     for n in range(first + 1, len(balances) if last is None else last + 1):
-        a, b = balances[begin], balances[n]
+        b = balances[n]
         if b.kind != KINK:
-            explicit, supports = _work_within(balances, n)
-            works += explicit + b.work, supports
-        if b.kind == BETWEEN:
-            continue
-        if b.kind != KINK:
-            linear = b.linear - a.linear
-            stored, loads = b.energy - a.energy - linear, float(works[0]) - linear
-            missing = loads + float(works[1]) - stored
-            found.append(Row(b.load, stored, loads, float(works[1]), missing, b.kind))
-        begin, works = n, np.zeros(2)
+            sums += exchange(balances, n)
+        if b.kind not in (KINK, BETWEEN):
+            loads, supports, stored = (float(each) for each in sums)
+            found.append(Row(b.load, stored, loads, supports, loads + supports - stored, b.kind))
+            sums[:] = 0
     return found
+
+
+def exchange(balances: Sequence[Balance], n: int) -> tuple[float, float, float]:
+    """Work of loads and of supports, and what is stored, from state n - 1 to state n [J]."""
+    a, b = balances[n - 1 : n + 1]
+    explicit, supports = _work_within(balances, n)
+    linear = b.linear - a.linear
+    return explicit - linear + b.work, supports, b.energy - a.energy - linear
 
 
 def verdict(balances: Sequence[Balance], chord: tuple[float, float], floor: float) -> Verdict:
@@ -261,14 +264,15 @@ def _work_within(balances: Sequence[Balance], n: int) -> tuple[float, float]:
 
 
 def _coordinates(nodes: Sequence[Balance]) -> list[NDArray[np.float64]]:
-    """Places of states; and places and powers together, where these grow or fall throughout."""
+    """Places of states; and powers, alone and with places, where these grow or fall throughout."""
     s = np.array([node.place for node in nodes])
     way = np.sign(nodes[-1].load - nodes[0].load)
     f = np.array([way * node.slope + node.power for node in nodes])
     steps = np.diff(f)
     if len(nodes) < 3 or not (np.all(steps > 0) or np.all(steps < 0)):
         return [s]
-    return [s, (s - s[0]) / (s[-1] - s[0]) + (f - f[0]) / (f[-1] - f[0])]
+    s, f = (s - s[0]) / (s[-1] - s[0]), (f - f[0]) / (f[-1] - f[0])
+    return [s, s + f, f]
 
 
 def _work(nodes: Sequence[Balance], at: int) -> tuple[float, float]:

@@ -182,22 +182,25 @@ class LoadSteps(Continuation):
             end.place == self.place for end in self._ends if end.kink or end is self._ends[-1]
         )
         ahead, count = (0, AHEAD + 1) if ended else (AHEAD, 1)
-        while self._closes_gap(accounts, ahead, count):
+        states = list(self._past)
+        while self._closes_gap(accounts, states, ahead, count):
             count = self.settings.remembered  # the polynomials of the steps around are new
 
-    def _closes_gap(self, accounts: Accounts, ahead: int, count: int) -> bool:
+    def _closes_gap(self, accounts: Accounts, states: list[State], ahead: int, count: int) -> bool:
         """Whether a state within one of the last steps was of use to its account. Collective."""
-        known, places = self.path.balances, [state.place for state in self._past]
+        known = self.path.balances
         length = len(known)
         for gap in gaps(known, self.path.floor, ahead, count):
             begin, end = gap
+            places = [state.place for state in states]
             if begin.place not in places:
                 continue
             at, middle = places.index(begin.place), (begin.place + end.place) / 2
             self.aim(middle)
-            around = self._past[max(at - AROUND, 0) : at + AROUND]
-            self.path.u.x.array[:], _ = through(around, middle)
+            around = states[max(at - AROUND, 0) : at + AROUND]
+            self.path.u.x.array[:], load = through(around, middle)
             if self.corrector.solve(self.level).converged:
+                states.insert(at, State(self.path.u.x.array.copy(), load, middle))
                 way = float(np.sign(end.load - begin.load))
                 known[:] = joined(known, gap, accounts.read(middle, way))
             self.put(self._past[0])
