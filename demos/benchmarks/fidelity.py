@@ -4,9 +4,9 @@
 Each scene of fidelity_scenes.py is followed by variform with its defaults, and by DOLFINx's
 ``NewtonSolver`` and PETSc's SNES (line search bt) in ten equal steps, all with the same mesh, the
 same compiled residual and tangent, and the same loads; by FElupe's Newton with its own elements
-where it is installed and the scene can be written in it (fidelity_felupe.py). What is right was found by plain Newton
-over many small steps and over twice as many (small_steps.py), and is kept, in figures, in
-fidelity.json.
+where it is installed and the scene can be written in it (fidelity_felupe.py). What is right was
+found by plain Newton over many small steps and over twice as many (small_steps.py), and is kept, in
+figures, in fidelity.json.
 
 ``docker/enter python3 -m demos.benchmarks.fidelity`` prints one JSON line per scene and solver and
 writes ``results/fidelity.csv``; parts of scenes' names after it choose some ("twist 360" P1),
