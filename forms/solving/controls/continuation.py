@@ -272,6 +272,7 @@ class Continuation(Branch):
             "balances": [list(balance) for balance in self.path.balances],
             "events": [list(event) for event in self.path.events],
             "tangents": self.path.tangents,
+            "floor": self.path.floor,
             "gates": self._gates,
             "resumed": self._resumed_step,
             "level": self.level,
@@ -298,6 +299,7 @@ class Continuation(Branch):
         self.path.balances = [Balance(*each) for each in numbers["balances"]]
         self.path.events = [Event(*each) for each in numbers["events"]]
         self.path.tangents = numbers["tangents"]
+        self.path.floor = numbers.get("floor", 0.0)
         self._counted = self._spent = self.corrector.tangents
         self._gates, self._resumed_step = list(numbers["gates"]), numbers["resumed"]
         self.level, self.count = numbers["level"], numbers["count"]

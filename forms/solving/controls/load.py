@@ -182,27 +182,33 @@ class LoadSteps(Continuation):
             end.place == self.place for end in self._ends if end.kink or end is self._ends[-1]
         )
         ahead, count = (0, AHEAD + 1) if ended else (AHEAD, 1)
-        states = list(self._past)
-        while self._closes_gap(accounts, states, ahead, count):
+        states, tried = list(self._past), set[float]()
+        while self._closes_gap(accounts, states, tried, ahead, count):
             count = self.settings.remembered  # the polynomials of the steps around are new
 
-    def _closes_gap(self, accounts: Accounts, states: list[State], ahead: int, count: int) -> bool:
+    def _closes_gap(
+        self, accounts: Accounts, states: list[State], tried: set[float], ahead: int, count: int
+    ) -> bool:
         """Whether a state within one of the last steps was of use to its account. Collective."""
         known = self.path.balances
         length = len(known)
         for gap in gaps(known, self.path.floor, ahead, count):
             begin, end = gap
-            places = [state.place for state in states]
-            if begin.place not in places:
+            places, middle = [state.place for state in states], (begin.place + end.place) / 2
+            if begin.place not in places or middle in tried:
                 continue
-            at, middle = places.index(begin.place), (begin.place + end.place) / 2
-            self.aim(middle)
+            tried.add(middle)
+            at = places.index(begin.place)
             around = states[max(at - AROUND, 0) : at + AROUND]
+            self.aim(middle)
             self.path.u.x.array[:], load = through(around, middle)
             if self.corrector.solve(self.level).converged:
-                states.insert(at, State(self.path.u.x.array.copy(), load, middle))
-                way = float(np.sign(end.load - begin.load))
-                known[:] = joined(known, gap, accounts.read(middle, way))
+                here = State(self.path.u.x.array.copy(), load, middle)
+                reading = accounts.read(middle, float(np.sign(end.load - begin.load)))
+                found = joined(known, gap, reading)
+                if len(found) > len(known):
+                    known[:] = found
+                    states.insert(at, here)
             self.put(self._past[0])
         return len(known) > length
 
