@@ -169,6 +169,18 @@ def number(value: Expr) -> float | None:
     return float(value) if isinstance(value, Real | ufl.classes.ConstantValue) else None
 
 
+def not_negative(value: Any, what: str, name: str, unit: str) -> None:
+    """Refuse what is neither a number from 0 on nor a scalar in UFL."""
+    given = number(value)
+    if given is None and not (isinstance(value, Expr) and value.ufl_shape == ()):
+        raise ValueError(
+            f"{what} is a number or a scalar in UFL, got {name} of type {type(value).__name__}"
+            + (f" and shape {value.ufl_shape}." if isinstance(value, Expr) else ".")
+        )
+    if given is not None and not given >= 0:
+        raise ValueError(f"{what} is not negative, got {name} = {given:g} {unit}.")
+
+
 def direction(A: Any, what: str) -> Expr:
     """A direction in space, of length 1 where it consists of numbers."""
     expr = vector(A, (3,), what)

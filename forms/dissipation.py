@@ -69,12 +69,10 @@ def kelvin_voigt(
         dx: Measure; by default all cells.
 
     Raises:
-        ValueError: a negative viscosity.
+        ValueError: no number or scalar, or a negative one.
     """
     for value, name in ((eta, "eta"), (zeta, "zeta")):
-        number = _checks.number(value)
-        if number is not None and not number >= 0:
-            raise ValueError(f"a viscosity is not negative, got {name} = {number:g} Pa s.")
+        _checks.not_negative(value, "a viscosity", name, "Pa s")
 
     def phi(D: Expr) -> Expr:
         return eta * ufl.inner(D, D) + zeta / 2 * ufl.tr(D) ** 2
@@ -96,11 +94,9 @@ def mass_damping(alpha: float | Expr) -> Dissipation:
         alpha: Rate [1/s].
 
     Raises:
-        ValueError: a negative rate.
+        ValueError: no number or scalar, or a negative one.
     """
-    number = _checks.number(alpha)
-    if number is not None and not number >= 0:
-        raise ValueError(f"a damping is not negative, got alpha = {number:g} 1/s.")
+    _checks.not_negative(alpha, "a damping", "alpha", "1/s")
     return Dissipation(lambda v: alpha / 2 * ufl.inner(v, v), per_mass=True)
 
 
@@ -114,9 +110,7 @@ def dashpots(c: float | Expr, ds: ufl.Measure) -> Dissipation:
         ds: Measure of the boundary, as body.ds("base").
 
     Raises:
-        ValueError: a negative viscosity, or no measure.
+        ValueError: no number or scalar, or a negative one, or no measure.
     """
-    number = _checks.number(c)
-    if number is not None and not number >= 0:
-        raise ValueError(f"dashpots are not negative, got c = {number:g} Pa s/m.")
+    _checks.not_negative(c, "the viscosity of dashpots", "c", "Pa s/m")
     return Dissipation(lambda v: c / 2 * ufl.inner(v, v), dx=_checks.measure(ds, "dashpots"))

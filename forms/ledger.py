@@ -4,11 +4,16 @@
 Between two states of a path, dPi = int (Pi_q dq + R . du_p) + work of virtual works; Pi the total
 potential, q the load factor, R . du_p the work of the reactions R on prescribed values u_p. What is
 left over is the integration rule's error, or energy that a jump released.
+
+Powers f are integrated by polynomials in s, in f, or in both together, s/ds + f/df over the states
+around: where a load comes to its largest value no power is a polynomial of it, but it is one of
+the powers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -18,7 +23,7 @@ from numpy.typing import NDArray
 ROUGH = 0.1  # weight of the difference that two powers alone make
 NODES = 6  # states whose powers are integrated through
 TOLERATED = 1e-3  # of the energy exchanged, that may be missing without a word
-ORDINARY, START, JUMP, KINK = "", "start", "jump", "kink"
+ORDINARY, START, JUMP, KINK, BETWEEN = "", "start", "jump", "kink", "between"
 
 
 class Balance(NamedTuple):
@@ -33,7 +38,7 @@ class Balance(NamedTuple):
         work: Work of the virtual works over the step to this state [J].
         kind: "" for a step of a path; "start" for one out of a singular state and "jump" for one
             on purpose; "kink" for the same state once more, with the powers behind it, where the
-            load program bends.
+            load program bends; "between" for one within a step, solved for the account alone.
     """
 
     place: float
@@ -159,18 +164,33 @@ class Ledger(list[Row]):
         figure.savefig(filename, dpi=150)
 
 
-def rows(balances: Sequence[Balance]) -> Ledger:
-    """Accounts of the steps between states, the powers integrated through up to six of them."""
+def rows(balances: Sequence[Balance], first: int = 0, last: int | None = None) -> Ledger:
+    """Accounts of the steps between states, the powers integrated through up to six of them.
+
+    Args:
+        balances: States.
+        first: Number of the one at which the accounts begin, an end of a step.
+        last: Number of that at which they end; None for all.
+    """
     found = Ledger()
-    for n in range(1, len(balances)):
-        a, b = balances[n - 1 : n + 1]
-        if b.kind == KINK:
-            continue
-        explicit, supports = _work(_window(balances, n), a, b)
-        linear = b.linear - a.linear
-        stored, loads = b.energy - a.energy - linear, explicit - linear + b.work
-        found.append(Row(b.load, stored, loads, supports, loads + supports - stored, b.kind))
+    sums = np.zeros(3)
+    for n in range(first + 1, len(balances) if last is None else last + 1):
+        b = balances[n]
+        if b.kind != KINK:
+            sums += exchange(balances, n)
+        if b.kind not in (KINK, BETWEEN):
+            loads, supports, stored = (float(each) for each in sums)
+            found.append(Row(b.load, stored, loads, supports, loads + supports - stored, b.kind))
+            sums[:] = 0
     return found
+
+
+def exchange(balances: Sequence[Balance], n: int) -> tuple[float, float, float]:
+    """Work of loads and of supports, and what is stored, from state n - 1 to state n [J]."""
+    a, b = balances[n - 1 : n + 1]
+    explicit, supports = _work_within(balances, n)
+    linear = b.linear - a.linear
+    return explicit - linear + b.work, supports, b.energy - a.energy - linear
 
 
 def verdict(balances: Sequence[Balance], chord: tuple[float, float], floor: float) -> Verdict:
@@ -194,9 +214,9 @@ def verdict(balances: Sequence[Balance], chord: tuple[float, float], floor: floa
         ends = [-each.load * (b.slope - a.slope) for each in (a, b)]
         low, high = min(ends) + min(chord), max(ends) + max(chord)
         outside = min(outside, _outside(change - linear, low, high))
-    line = sum(_work((a, b), a, b))
+    line = sum(_work((a, b), 1))
     if len(balances) > 2:
-        doubt = sum(_work(balances[-3:], a, b)) - line
+        doubt = sum(_work(balances[-3:], 2)) - line
     else:
         doubt = ROUGH * (change - line - sum(chord) / 2)
     return Verdict(outside / scale, abs(doubt) / scale)
@@ -213,52 +233,95 @@ def _window(balances: Sequence[Balance], n: int) -> Sequence[Balance]:
         return [a._replace(slope=b.slope, power=b.power), b]
     if b.kind == START:
         return [a, b]
+    smooth = ORDINARY, BETWEEN
     first = last = n
-    while first > 0 and balances[first].kind == ORDINARY:
+    while first > 0 and balances[first].kind in smooth:
         first -= 1
-    while last + 1 < len(balances) and balances[last + 1].kind == ORDINARY:
+    while last + 1 < len(balances) and balances[last + 1].kind in smooth:
         last += 1
     begin = min(max(first, n - NODES // 2), max(first, last - NODES + 1))
     return balances[begin : min(begin + NODES, last + 1)]
 
 
-def _work(nodes: Sequence[Balance], a: Balance, b: Balance) -> tuple[float, float]:
-    """Integrals of Pi_q dq and of R . du_p from a to b, by polynomials through nodes."""
-    x = np.array([each.place for each in nodes])
-    q, slope, power = (
-        np.array([getattr(each, name) for each in nodes]) for name in ("load", "slope", "power")
+def _work_within(balances: Sequence[Balance], n: int) -> tuple[float, float]:
+    """Integrals of Pi_q dq and of R . du_p over a step, in the coordinate that tells them better.
+
+    Better is the one in which the state farthest from the step makes less of a difference.
+    """
+    nodes = _window(balances, n)
+    places = [node.place for node in nodes]
+    at = places.index(balances[n].place)
+    found, least = (0.0, 0.0), np.inf
+    for x in _coordinates(nodes):
+        works, doubt = _integrals(nodes, x, at), 0.0
+        if len(nodes) > 2:
+            far = 0 if 2 * at - 1 > len(nodes) - 1 else len(nodes) - 1
+            fewer = [node for k, node in enumerate(nodes) if k != far]
+            doubt = abs(sum(_integrals(fewer, np.delete(x, far), at - (far == 0))) - sum(works))
+        if doubt < least:
+            found, least = works, doubt
+    return found
+
+
+def _coordinates(nodes: Sequence[Balance]) -> list[NDArray[np.float64]]:
+    """Places of states; and powers, alone and with places, where these grow or fall throughout."""
+    s = np.array([node.place for node in nodes])
+    way = np.sign(nodes[-1].load - nodes[0].load)
+    f = np.array([way * node.slope + node.power for node in nodes])
+    steps = np.diff(f)
+    if len(nodes) < 3 or not (np.all(steps > 0) or np.all(steps < 0)):
+        return [s]
+    s, f = (s - s[0]) / (s[-1] - s[0]), (f - f[0]) / (f[-1] - f[0])
+    return [s, s + f, f]
+
+
+def _work(nodes: Sequence[Balance], at: int) -> tuple[float, float]:
+    """Integrals of Pi_q dq and of R . du_p to a state from the one before it, by polynomials."""
+    return _integrals(nodes, np.array([each.place for each in nodes]), at)
+
+
+def _integrals(nodes: Sequence[Balance], x: NDArray[np.float64], at: int) -> tuple[float, float]:
+    """The same by polynomials in a coordinate x of the states."""
+    s, q, slope, power = (
+        np.array([getattr(each, name) for each in nodes])
+        for name in ("place", "load", "slope", "power")
     )
-    by_change, by_place = weights(x, a.place, b.place)
-    return float(slope @ by_change @ q), float(by_place @ power)
+    by_change = weights(x, x[at - 1], x[at])
+    return float(slope @ by_change @ q), float(power @ by_change @ s)
 
 
-def weights(
-    x: NDArray[np.float64], a: float, b: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weights W, w of int_a^b f dg = f W g and int_a^b f ds = w f, for polynomials through places.
+def weights(x: NDArray[np.float64], a: float, b: float) -> NDArray[np.float64]:
+    """Weights W of int_a^b f dg = f W g, for polynomials f, g through their values at places x.
 
     Args:
-        x: Places s of the values f and g.
+        x: Places of the values.
         a: Where the integral begins.
         b: Where it ends.
     """
-    middle, half = (a + b) / 2, (b - a) / 2
-    points, gauss = np.polynomial.legendre.leggauss(len(x))
-    by_change, by_place = np.zeros((len(x), len(x))), np.zeros(len(x))
-    for point, weight in zip(middle + half * points, gauss * half, strict=True):
-        values, slopes = lagrange(x, point)
-        by_change += weight * np.outer(values, slopes)
-        by_place += weight * values
-    return by_change, by_place
+    points, gauss = _gauss(len(x))
+    values, slopes = lagrange(x, (a + b) / 2 + (b - a) / 2 * points)
+    return (values.T * ((b - a) / 2 * gauss)) @ slopes
 
 
-def lagrange(x: NDArray[np.float64], at: float) -> tuple[NDArray, NDArray]:
-    """Values and slopes at a point of the polynomials that are 1 at one of x, 0 at the others."""
-    values, slopes = np.empty(len(x)), np.zeros(len(x))
-    for j, own in enumerate(x):
-        others = np.delete(x, j)
-        factors, lengths = at - others, own - others
-        values[j] = np.prod(factors / lengths)
-        for k in range(len(others)):
-            slopes[j] += np.prod(np.delete(factors / lengths, k)) / lengths[k]
-    return values, slopes
+_gauss = cache(np.polynomial.legendre.leggauss)
+
+
+def lagrange(
+    x: NDArray[np.float64], at: float | NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Values and slopes at points of the polynomials that are 1 at one of x, 0 at the others.
+
+    Args:
+        x: Where the polynomials are 1, shape (n,).
+        at: Point, or points of any shape.
+
+    Returns:
+        Values and slopes, each of the shape of the points and (n,).
+    """
+    count, own = len(x), np.eye(len(x), dtype=bool)
+    lengths = np.where(own, 1.0, x[:, None] - x)
+    factors = np.where(own, 1.0, (np.asarray(at)[..., None, None] - x) / lengths)
+    values = factors.prod(axis=-1)
+    # Each slope is a sum over the factors, of which one is left out in turn.
+    without = np.where(own, 1.0, np.repeat(factors[..., None, :], count, axis=-2)).prod(axis=-1)
+    return values, np.where(own, 0.0, without / lengths).sum(axis=-1)

@@ -249,7 +249,8 @@ def volume_bounds(of: Any, axisymmetric: bool | None = None) -> Bounds:
 
 def can_bound(u: fem.Function, axisymmetric: bool = False) -> bool:
     """Whether there are bounds for the displacement of an unknown; local."""
-    return not _obstacle(u, axisymmetric)
+    known = axisymmetric in getattr(u, "_volume_bounds", {})  # it takes as long as the bounds do
+    return known or not _obstacle(u, axisymmetric)
 
 
 def _obstacle(u: fem.Function, axisymmetric: bool) -> str:

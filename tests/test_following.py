@@ -78,9 +78,9 @@ def test_every_joule_of_a_path_is_accounted_for(lead):
 
 @pytest.mark.parametrize("by", ["supports", "loads"])
 def test_halved_steps_leave_a_quarter_unaccounted_at_most(by):
-    """A block pulled apart in 4, 8 and 16 steps; what is left is far above rounding."""
+    """A block pulled apart in 8, 16 and 32 steps; what is left is far above rounding."""
     missed = []
-    for n in (4, 8, 16):
+    for n in (8, 16, 32):
         body = meshes.block(MPI.COMM_SELF, (1.0, 0.5, 0.5), n=(3, 2, 2))
         t, u = forms.load_factor(body), forms.displacement(body)
         psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
@@ -92,7 +92,7 @@ def test_halved_steps_leave_a_quarter_unaccounted_at_most(by):
         size = {"step": 1 / n, "max_step": 1 / n, "rtol": 1e-12, "ctol": 1e-11}
         account = forms.follow(psi, u, held, t, progress=False, **size).ledger
         missed.append(account.missed / account.exchanged)
-    assert missed[0] > 4 * missed[1] > 16 * missed[2] > 1e-8
+    assert missed[0] > 4 * missed[1] > 16 * missed[2] > 1e-10
 
 
 def test_loads_work_by_their_place():

@@ -256,6 +256,8 @@ def test_what_is_no_time_is_refused():
     ):
         with pytest.raises(ValueError, match="not negative"):
             make()
+    with pytest.raises(ValueError, match=r"got eta of type Unknown and shape \(2,\)"):
+        dissipation.kelvin_voigt(u, 0.1)
     path = forms.transient(psi, u, supports, t, to=0.01, rho=1.0, progress=False)
     with pytest.raises(ValueError, match="needs a problem of statics"):
         forms.transient(path.problem, t=t, to=0.02, rho=1.0)

@@ -3,9 +3,10 @@
 
 Each scene of fidelity_scenes.py is followed by variform with its defaults, and by DOLFINx's
 ``NewtonSolver`` and PETSc's SNES (line search bt) in ten equal steps, all with the same mesh, the
-same compiled residual and tangent, and the same loads. What is right was found by plain Newton
-over many small steps and over twice as many (small_steps.py), and is kept, in figures, in
-fidelity.json.
+same compiled residual and tangent, and the same loads; by FElupe's Newton with its own elements
+where it is installed and the scene can be written in it (fidelity_felupe.py). What is right was
+found by plain Newton over many small steps and over twice as many (small_steps.py), and is kept, in
+figures, in fidelity.json.
 
 ``docker/enter python3 -m demos.benchmarks.fidelity`` prints one JSON line per scene and solver and
 writes ``results/fidelity.csv``; parts of scenes' names after it choose some ("twist 360" P1),
@@ -28,7 +29,7 @@ from dolfinx.nls.petsc import NewtonSolver
 
 from variform import forms
 
-from . import small_steps
+from . import fidelity_felupe, small_steps
 from .fidelity_scenes import NAMES, build
 from .record import Table, insert, markdown
 
@@ -190,7 +191,23 @@ def equal_steps(scene, reference, solve):
     return {"verdict": said, "off": away, "load": load, "seconds": seconds, "reason": reason}
 
 
+def by_felupe(scene, reference):
+    """FElupe's ``newtonraphson`` with its defaults."""
+    row = fidelity_felupe.run(scene, STEPS)
+    load = float(scene.t.value)
+    said, away = verdict(scene, reference, load, resolution=1 / STEPS + STOPS)
+    known = {key: row[key] for key in ("tangents", "seconds", "reason")}
+    return {"verdict": said, "off": away, "load": load, **known}
+
+
 SOLVERS = {"NewtonSolver": by_newton_solver, "SNES": by_snes, "variform": by_variform}
+PEER = "FElupe"
+
+
+def solvers_of(name):
+    """The solvers of a scene."""
+    peer = fidelity_felupe.is_there() and fidelity_felupe.can_express(name)
+    return {**SOLVERS, PEER: by_felupe} if peer else SOLVERS
 
 
 def measure(name, reference):
@@ -200,7 +217,7 @@ def measure(name, reference):
     if reference["unknowns"] != scene.problem.size or abs(mesh / reference["mesh"] - 1) > 1e-8:
         print(f"{name}: the reference is of another mesh, find it anew with --references.")
         return
-    for solver, run in SOLVERS.items():
+    for solver, run in solvers_of(name).items():
         row = run(scene, reference)
         for key, digits in (("off", 2), ("unaccounted", 2), ("load", 6)):
             if row.get(key) is not None:
@@ -226,7 +243,7 @@ def measured(name):
     rows = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
     if not rows and not why:
         print(out, end="", flush=True)
-    for solver in list(SOLVERS)[len(rows) :] if why else ():
+    for solver in list(solvers_of(name))[len(rows) :] if why else ():
         known = {"unknowns": rows[0]["unknowns"] if rows else 0, "tangents": 0, "seconds": 0.0}
         part = {"part": 0.0, "small steps": rows[0]["small steps"] if rows else 1.0}
         failed = {"verdict": "failed", "reason": why, "steps": 0, "refused": 0}
@@ -250,7 +267,8 @@ def table(rows, references):
     """Lines of the README's table, and sums."""
     lines = []
     for name in dict.fromkeys(row["scene"] for row in rows):
-        reference, own = references[name], [row for row in rows if row["scene"] == name]
+        reference = references[name]
+        own = [row for row in rows if row["scene"] == name and row["solver"] != PEER]
         end = "end" if reference["reached"] else f"stop at {100 * own[0]['small steps']:.3g} %"
         cells = [name, own[0]["unknowns"], end + (", uncertain" if reference["doubts"] else "")]
         cells += [f"{reference['tangents']}, {reference['seconds']:.2f}"]
@@ -267,14 +285,19 @@ def table(rows, references):
     heads = ["scene", "unknowns", "small steps", "tangents, s"]
     heads += ["NewtonSolver", "tangents, s", "SNES bt", "tangents, s"]
     heads += ["variform", "tangents, s", "steps (refused)"]
-    return [*markdown(heads, lines), "", *markdown(*sums(rows, references))]
+    lines = [*markdown(heads, lines), "", *markdown(*sums(rows, references, SOLVERS))]
+    theirs = {row["scene"] for row in rows if row["solver"] == PEER}
+    if not theirs:
+        return lines
+    same = [row for row in rows if row["scene"] in theirs]
+    return [*lines, "", *markdown(*sums(same, references, [PEER, *SOLVERS]))]
 
 
-def sums(rows, references):
+def sums(rows, references, solvers):
     """Heads and lines: of each solver verdicts, tangents, CPU."""
     names = dict.fromkeys(row["scene"] for row in rows)
     lines = []
-    for solver in SOLVERS:
+    for solver in solvers:
         own = [row for row in rows if row["solver"] == solver]
         counts = [sum(row["verdict"] == kind for row in own) for kind in VERDICTS]
         tangents, seconds = (sum(row[key] for row in own) for key in ("tangents", "seconds"))

@@ -49,6 +49,11 @@ class Accounts:
         self._b = problem.create_vector()
         self._states: list[_Virtual] = []  # of one smooth piece, the latest first
 
+    @property
+    def by_forces(self) -> bool:
+        """Whether virtual works act, which are integrated by forces and states."""
+        return self._virtual is not None
+
     def read(self, place: float, way: float = 1.0, side: float = 0.0) -> Balance:
         """Energy and powers at the present state. Collective.
 
@@ -117,9 +122,7 @@ class Accounts:
         local = np.array([[f.forces @ g.u for g in nodes] for f in nodes])
         products = self.problem.comm.allreduce(local)
         x = np.array([node.place for node in nodes])
-        works = [
-            -float(np.sum(weights(x, x[n + 1], x[n])[0] * products)) for n in range(len(x) - 1)
-        ]
+        works = [-float(np.sum(weights(x, x[n + 1], x[n]) * products)) for n in range(len(x) - 1)]
         if anew:
             del self._states[1:]
         return works

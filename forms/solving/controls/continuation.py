@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import fem
 
 from ...files.checkpoint import Saved
-from ...ledger import ORDINARY, Balance, verdict
+from ...ledger import BETWEEN, ORDINARY, Balance, verdict
 from ...paths import Convergence, Event, Path
 from ...validity import Bounds
 from ..accounts import Accounts
@@ -272,6 +272,7 @@ class Continuation(Branch):
             "balances": [list(balance) for balance in self.path.balances],
             "events": [list(event) for event in self.path.events],
             "tangents": self.path.tangents,
+            "floor": self.path.floor,
             "gates": self._gates,
             "resumed": self._resumed_step,
             "level": self.level,
@@ -298,6 +299,7 @@ class Continuation(Branch):
         self.path.balances = [Balance(*each) for each in numbers["balances"]]
         self.path.events = [Event(*each) for each in numbers["events"]]
         self.path.tangents = numbers["tangents"]
+        self.path.floor = numbers.get("floor", 0.0)
         self._counted = self._spent = self.corrector.tangents
         self._gates, self._resumed_step = list(numbers["gates"]), numbers["resumed"]
         self.level, self.count = numbers["level"], numbers["count"]
@@ -316,6 +318,7 @@ class Continuation(Branch):
         if accounts is None or not known:
             return
         accounts.cut(0)
+        known = [each for each in known if each.kind != BETWEEN]
         for state, balance in reversed(list(zip(self._past, reversed(known), strict=False))):
             self.put(state)
             accounts.keep(balance.place)
@@ -329,5 +332,7 @@ class Continuation(Branch):
 
 
 def _since(known: Sequence[Balance]) -> Sequence[Balance]:
-    """The last two states of one smooth piece of a path."""
-    return known[-1:] if known[-1].kind != ORDINARY else known[-2:]
+    """The last two states of one smooth piece of a path, none of those within steps."""
+    if known[-1].kind != ORDINARY:
+        return known[-1:]
+    return [each for each in known[-3:] if each.kind != BETWEEN][-2:]

@@ -14,15 +14,18 @@ from ...files.checkpoint import Saved
 from ...ledger import JUMP, KINK, ORDINARY, START
 from ...paths import Convergence, Event, Path
 from ...programs import kinks
+from ..accounts import Accounts
 from ..certificates import certified_volume, crossing
 from ..corrector import Corrector
-from ..extrapolation import State
+from ..extrapolation import State, through
 from ..newton import Newton
 from ..pace import Pace
 from ..settings import Settings
+from .between import AHEAD, gaps, joined
 from .continuation import Continuation
 
 PIECES = 4  # steps of a smooth piece, at least
+AROUND = 2  # states on either side of a step that one within is interpolated from
 LEAST = 1e-4  # of the way, below which a step ends the path
 
 
@@ -158,6 +161,56 @@ class LoadSteps(Continuation):
             self.path.events.append(Event(self.load, "jump", before, self.count, released))
         self.pace.ahead = self.pace.step
         return replace(outcome, tangents=self.spent()), {}
+
+    def take(self, state: State, outcome: Convergence, kind: str = ORDINARY) -> None:
+        """Remember a state, and see to the account of the steps behind."""
+        super().take(state, outcome, kind)
+        if kind == ORDINARY:
+            self._close_gaps()
+
+    def _close_gaps(self) -> None:
+        """Solve for a state within each step whose account misses too much. Collective.
+
+        It lies on the curve through the states around, and nothing but the ledger knows of it: the
+        path is the same without. Terms that remember where they were cannot go back, and virtual
+        works are integrated along their own states.
+        """
+        problem, accounts = self.path.problem, self._accounts
+        if accounts is None or accounts.by_forces or problem.history():
+            return
+        ended = any(
+            end.place == self.place for end in self._ends if end.kink or end is self._ends[-1]
+        )
+        ahead, count = (0, AHEAD + 1) if ended else (AHEAD, 1)
+        states, tried = list(self._past), set[float]()
+        while self._closes_gap(accounts, states, tried, ahead, count):
+            count = self.settings.remembered  # the polynomials of the steps around are new
+
+    def _closes_gap(
+        self, accounts: Accounts, states: list[State], tried: set[float], ahead: int, count: int
+    ) -> bool:
+        """Whether a state within one of the last steps was of use to its account. Collective."""
+        known = self.path.balances
+        length = len(known)
+        for gap in gaps(known, self.path.floor, ahead, count):
+            begin, end = gap
+            places, middle = [state.place for state in states], (begin.place + end.place) / 2
+            if begin.place not in places or middle in tried:
+                continue
+            tried.add(middle)
+            at = places.index(begin.place)
+            around = states[max(at - AROUND, 0) : at + AROUND]
+            self.aim(middle)
+            self.path.u.x.array[:], load = through(around, middle)
+            if self.corrector.solve(self.level).converged:
+                here = State(self.path.u.x.array.copy(), load, middle)
+                reading = accounts.read(middle, float(np.sign(end.load - begin.load)))
+                found = joined(known, gap, reading)
+                if len(found) > len(known):
+                    known[:] = found
+                    states.insert(at, here)
+            self.put(self._past[0])
+        return len(known) > length
 
     def _read_behind(self) -> None:
         """Read the powers behind a kink. Collective."""
