@@ -147,6 +147,13 @@ def test_without_dolfinx_one_sentence_says_what_to_type(code):
     )
 
 
+def test_the_other_codes_start_without_dolfinx():
+    """Peers run in environments of their own, which have none."""
+    command = [sys.executable, "-S", "-m", "demos.benchmarks.peers.codes"]
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stderr) == (0, "")
+
+
 def test_tests_without_dolfinx_end_in_one_sentence():
     """Pytest alone, without DOLFINx: not an error for each file."""
     code = (
