@@ -46,13 +46,13 @@ def graded(h, fine, length, ratio=1.15):
     return x
 
 
-def hertz(kind, degree, per, reach, stiffness=None):
-    """A row: errors of half-width and peak, steps, iterations, CPU time."""
+def parabola(kind, degree, per, reach, stiffness=None, comm=MPI.COMM_SELF, **options):
+    """Path of a parabola of a "cylinder" or "sphere" that is pressed on a plane, and its body."""
     h = A / per
     x, y = graded(h, 2 * A, 20 * A), graded(h, A, 20 * A)
     n = len(x) - 1, len(y) - 1
     size = (float(n[0]), float(n[1]))
-    body = meshes.block(MPI.COMM_SELF, size, n=n, cells="quadrilateral", order=degree)
+    body = meshes.block(comm, size, n=n, cells="quadrilateral", order=degree)
     X = body.mesh.geometry.x
     X[:, 0] = np.interp(X[:, 0], np.arange(len(x)), x)
     depth = np.interp(X[:, 1], np.arange(len(y)), y)
@@ -67,26 +67,40 @@ def hertz(kind, degree, per, reach, stiffness=None):
     wall = forms.obstacle(u, floor, body.ds("bottom"), dhat=dhat, gap=dhat, stiffness=stiffness)
     down = forms.translate(u, body.facets("top"), (None, -(0.0027 if ball else 0.0045) * t))
     held = [forms.roller(u, body.facets("left"), 0), down]
-    start = time.process_time()
-    path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False)
-    seconds = time.process_time() - start
-    p, P = contact.pressure(path), -contact.force(path)[1]
+    return forms.follow(psi * ufl.dx + wall, u, held, t, progress=False, **options), body
+
+
+def known(kind, force):
+    """Hertz's half-width and largest pressure at a force on what is meshed: half a cylinder."""
+    if kind == "sphere":
+        a = (3 * force * R / (4 * STIFF)) ** (1 / 3)
+        return a, 3 * force / (2 * np.pi * a**2)
+    a = np.sqrt(8 * force * R / (np.pi * STIFF))
+    return a, 4 * force / (np.pi * a)
+
+
+def width(kind, p, body):
+    """Half-width by the second moment of a pressure p on the bottom. Collective."""
     r, ds = ufl.SpatialCoordinate(body.mesh)[0], body.ds("bottom", degree=6)
-    weight = r if ball else 1.0
+    weight, moment = (r, 2 / 5) if kind == "sphere" else (1.0, 1 / 4)
     second = forms.integral(p * weight * r**2 * ds) / forms.integral(p * weight * ds)
-    if ball:
-        a, moment = (3 * P * R / (4 * STIFF)) ** (1 / 3), 2 / 5
-        peak = 3 * P / (2 * np.pi * a**2)
-    else:
-        a, moment = np.sqrt(8 * P * R / (np.pi * STIFF)), 1 / 4
-        peak = 4 * P / (np.pi * a)
+    return np.sqrt(second / moment)
+
+
+def hertz(kind, degree, per, reach, stiffness=None):
+    """A row: errors of half-width and peak, steps, iterations, CPU time."""
+    start = time.process_time()
+    path, body = parabola(kind, degree, per, reach, stiffness)
+    seconds = time.process_time() - start
+    p = contact.pressure(path)
+    a, peak = known(kind, -contact.force(path)[1])
     return {
         "body": kind,
         "element": f"Q{degree}",
         "a/h": per,
         "dhat/h": reach,
         "dofs": path.problem.size,
-        "width": float(f"{np.sqrt(second / moment) / a - 1:.3g}"),
+        "width": float(f"{width(kind, p, body) / a - 1:.3g}"),
         "peak": float(f"{p.x.array.max() / peak - 1:.3g}"),
         "steps": len(path.steps),
         "tangents": path.tangents,
