@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from dolfinx.mesh import entities_to_geometry
 
-from demos.benchmarks import contact
+from demos.benchmarks.hertz import known
 from demos.validation import hertz, inflation, land, treloar
 from demos.validation.cases import CASES
 from demos.validation.page import shrink
@@ -167,7 +167,7 @@ def test_pressures_of_hertz_add_up_to_the_force():
     """Integrals of p0 sqrt(1 - s^2) over half the width, over the disk; p0 by the half-width."""
     s = (np.arange(100_000) + 0.5) / 100_000
     for kind, area in (("cylinder", lambda a: a), ("sphere", lambda a: 2 * np.pi * a**2 * s)):
-        a, peak = contact.known(kind, 1.7e-3)
+        a, peak = known(kind, 1.7e-3)
         assert np.mean(peak * np.sqrt(1 - s**2) * area(a)) == pytest.approx(1.7e-3, rel=1e-6)
         # By the radius: E* a / (2 R), and 2 E* a / (pi R), both of R = 1 and E = 1.
         slope = {"cylinder": 1 / 2, "sphere": 2 / np.pi}[kind]
@@ -199,8 +199,8 @@ def test_page_numbers_and_pictures_are_complete():
     numbers = json.loads((FOLDER / "numbers.json").read_text())
     assert list(numbers) == list(CASES)
     for name, case in CASES.items():
-        for key, known in case.known.items():
-            assert abs(numbers[name][key] - known.reference) <= known.tolerance, (name, key)
+        for key, wanted in case.known.items():
+            assert abs(numbers[name][key] - wanted.reference) <= wanted.tolerance, (name, key)
         assert f"### {name}: {case.title}" in page and f"](figures/{name}.png)" in page
         for key, value in numbers[name].items():
             assert f"| {key} | {value:.8g}" in page

@@ -8,7 +8,7 @@ import ufl
 from dolfinx import fem
 from matplotlib.figure import Figure
 
-from demos.benchmarks.contact import known, parabola, width
+from demos.benchmarks.hertz import known, parabola, width
 from demos.benchmarks.stacks import stack
 from variform import forms, meshes
 from variform.forms import contact
