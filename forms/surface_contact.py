@@ -8,7 +8,8 @@ another. By ipctk (Li et al., ACM Trans. Graph. 39 (2020) 49), an optional packa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from petsc4py import PETSc
@@ -25,6 +26,8 @@ from .unknowns import field_of
 
 FINE = 0.1  # of the smallest facet: default reach of the barrier
 KEPT = 0.9  # of the way to a collision that a step may go
+# Of pairs, as ipctk has them and in its order.
+KINDS = {"vv": "vertex_vertex", "ev": "edge_vertex", "ee": "edge_edge", "fv": "face_vertex"}
 
 
 class Touching:
@@ -97,7 +100,7 @@ class Touching:
         self._ccd = ipc.AdditiveCCD()
         self._x: NDArray = np.empty((0, 0))
         self._last = surface.places()
-        self._pairs = ipc.NormalCollisions()
+        self._pairs = self._shared = self._own = ipc.NormalCollisions()
 
     def begin(self) -> None:
         """Take the present state for a start. Collective.
@@ -148,16 +151,30 @@ class Touching:
         pairs.build(self.mesh, x, self.dhat, self.thickness)
         return pairs
 
+    def share_of(self, pairs: Any) -> Any:
+        """This rank's share of pairs that all ranks have found; local."""
+        return share(pairs, self._comm.rank, self._comm.size)
+
+    @property
+    def _share(self) -> Any:
+        """The share of the pairs at the state that was prepared; made once, where it is needed."""
+        if self._shared is not self._pairs:
+            self._shared, self._own = self._pairs, self.share_of(self._pairs)
+        return self._own
+
     def energy(self) -> float:
-        """Barrier energy [J]. Collective."""
+        """Barrier energy [J]. Collective.
+
+        Of all pairs, on every rank: a share takes longer to be taken out than this.
+        """
         if not np.all(np.isfinite(self._x)):
             return np.inf
         own = float(self.potential(self._pairs, self.mesh, self._x))
         return float(self._comm.bcast(own, root=0))
 
     def forces(self) -> NDArray:
-        """Derivative of the energy by the points' places [N], shape (n, dim)."""
-        g = self.potential.gradient(self._pairs, self.mesh, self._x)
+        """Derivative of the energy of this rank's share by the points' places [N], (n, dim)."""
+        g = self.potential.gradient(self._share, self.mesh, self._x)
         return np.asarray(g).reshape(self._x.shape)
 
     def gaps(self) -> NDArray:
@@ -181,7 +198,7 @@ class Touching:
         """Second derivative of the energy, of A's layout; a matrix of its own. Collective."""
         ipc = self.ipc
         how = ipc.PSDProjectionMethod.CLAMP if projected else ipc.PSDProjectionMethod.NONE
-        H = self.potential.hessian(self._pairs, self.mesh, self._x, how)
+        H = self.potential.hessian(self._share, self.mesh, self._x, how)
         return self.surface.stiffness(H, A)
 
     def largest_step(self, step: PETSc.Vec) -> float:
@@ -239,6 +256,37 @@ class Touching:
         return {}
 
 
+def share(pairs: Any, rank: int, size: int) -> Any:
+    """A rank's share of pairs: of each kind some that stand in a row. Local.
+
+    All ranks have the same pairs in the same order, since they have the same places to the bit, and
+    one thread each.
+
+    Args:
+        pairs: ipctk's NormalCollisions.
+        rank: Whose share.
+        size: Number of ranks.
+    """
+    if size == 1:
+        return pairs
+    own, first = type(pairs)(), 0
+    own.use_area_weighting = pairs.use_area_weighting
+    own.collision_set_type = pairs.collision_set_type
+    for kind, name in KINDS.items():
+        # ipctk's own lists are of all pairs: to make them takes as long on any number of ranks.
+        is_other = _without(getattr(pairs, f"is_{name}"))
+        end = bisect_left(range(len(pairs)), True, lo=first, key=is_other)
+        n = end - first
+        mine = range(first + n * rank // size, first + n * (rank + 1) // size)
+        setattr(own, f"{kind}_collisions", [pairs[k] for k in mine])
+        first = end
+    return own
+
+
+def _without(holds: Callable[[int], bool]) -> Callable[[int], bool]:
+    return lambda k: not holds(k)
+
+
 def touching(
     u: Expr,
     ds: ufl.Measure | Sequence[ufl.Measure],
@@ -265,8 +313,10 @@ def touching(
         name: By which :mod:`forms.contact` finds it.
 
     Returns:
-        Term to be passed in a list with the potential, ``[psi * ufl.dx, term]``. All ranks know the
-        whole surface, and each evaluates all pairs: on many ranks this part does not get faster.
+        Term to be passed in a list with the potential, ``[psi * ufl.dx, term]``. Forces and tangent
+        are evaluated in shares of the pairs, one for each rank. All ranks know the whole surface,
+        find all its pairs, and search each step for collisions: that does not get faster
+        (demos/benchmarks/README.md has figures).
 
     Raises:
         ImportError: ipctk is missing.

@@ -67,7 +67,7 @@ class Sliding:
         self._contact, self._surface, self._mu = contact, contact.surface, friction.mu
         self._b, self._inverse, self._drift, self._lag = rate, inverse, drift, lag
         self._potential = contact.ipc.FrictionPotential(friction.speed)
-        self._pairs = contact.ipc.TangentialCollisions()
+        self._pairs = contact.ipc.TangentialCollisions()  # this rank's share
         self._x: NDArray = np.empty((0, 0))
         self._v: NDArray = np.empty((0, 0))
 
@@ -77,7 +77,7 @@ class Sliding:
         x = np.asfortranarray(surface.points + surface.gathered(self._lag.x.array))
         if not np.array_equal(self._x, x):
             self._x = x
-            pairs = contact.pairs_at(x)
+            pairs = contact.share_of(contact.pairs_at(x))
             self._pairs = contact.ipc.TangentialCollisions()
             self._pairs.build(contact.mesh, x, pairs, contact.potential, self._mu)
         u, drift = contact.unknown.x.array, self._drift.x.array
@@ -89,13 +89,13 @@ class Sliding:
 
     def energy(self) -> float:
         """D / b [J]. Collective."""
-        if self._pairs.empty() or not np.all(np.isfinite(self._v)):
-            return 0.0
-        own = self._factor * float(self._potential(self._pairs, self._contact.mesh, self._v))
-        return float(self._surface.comm.bcast(own, root=0))
+        own = 0.0
+        if not self._pairs.empty() and np.all(np.isfinite(self._v)):
+            own = self._factor * float(self._potential(self._pairs, self._contact.mesh, self._v))
+        return float(sum(self._surface.comm.allgather(own)))
 
     def forces(self) -> NDArray:
-        """Derivative of D by the points' velocities [N], shape (n, dim)."""
+        """Derivative of this rank's share of D by the points' velocities [N], shape (n, dim)."""
         if self._pairs.empty():
             return np.zeros_like(self._v)
         g = self._potential.gradient(self._pairs, self._contact.mesh, self._v)
@@ -104,7 +104,7 @@ class Sliding:
     def power(self) -> float:
         """Power that friction takes at the present state [W]. Collective."""
         self.prepare()
-        return float(self._surface.comm.bcast(float(np.sum(self.forces() * self._v)), root=0))
+        return float(sum(self._surface.comm.allgather(float(np.sum(self.forces() * self._v)))))
 
     def residual(self, b: PETSc.Vec) -> None:
         """Add the derivative of the energy. Collective."""
@@ -122,7 +122,7 @@ class Sliding:
 
     def joins(self) -> bool:
         """Whether its tangent has entries at the state that was prepared. Collective."""
-        return bool(self._surface.comm.bcast(not self._pairs.empty(), root=0))
+        return any(self._surface.comm.allgather(not self._pairs.empty()))
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
         """Nothing: it has entries where A has none, see :meth:`coupling`."""

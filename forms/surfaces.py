@@ -2,14 +2,16 @@
 """Surfaces that may touch each other, as flat pieces between points that follow the unknown.
 
 Each facet is cut into parts, whose corners are combinations of the nodes on it. All ranks know all
-points, and the places of all nodes that move them.
+points, and the places of all nodes that move them; forces and stiffnesses come in shares.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import basix
@@ -111,15 +113,25 @@ class Surface:
         """Displacements of the points, from an array of the unknown, alike on all ranks."""
         total = np.zeros(self.dofs.shape)
         total[self._mine] = values[self._local]
-        return self.map @ self.comm.allreduce(total)
+        return self.map @ self._summed(total)
+
+    def _summed(self, values: Array) -> Array:
+        """Sum of the ranks' arrays, in place. Collective."""
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, values)
+        return values
 
     def places(self) -> Array:
         """Places of the points at u. Collective."""
         return np.asfortranarray(self.points + self.gathered(self._u.x.array))
 
     def own_forces(self, forces: Array) -> tuple[Array, Array]:
-        """Forces at this rank's degrees of freedom from those at the points: numbers, values."""
-        at_nodes = self.map.T @ forces.reshape(self.points.shape)
+        """Forces at this rank's degrees of freedom: numbers, values. Collective.
+
+        Args:
+            forces: At the points, of this rank's share; those of all ranks are added up.
+        """
+        at_nodes = self._summed(self.map.T @ forces.reshape(self.points.shape))
         return self._local.ravel(), at_nodes[self._mine].ravel()
 
     def own_values(self, values: Array) -> tuple[Array, Array]:
@@ -132,16 +144,29 @@ class Surface:
         return self._local[:, 0], values[nearest][self._mine]
 
     def stiffness(self, H: Any, A: PETSc.Mat) -> PETSc.Mat:
-        """Matrix of A's layout from a stiffness between the points. Collective."""
+        """Matrix of A's layout from a stiffness between the points. Collective.
+
+        Args:
+            H: Stiffness of this rank's share, sparse; those of all ranks are added up, in the
+                order of the ranks.
+            A: Matrix with the layout.
+        """
         import scipy.sparse  # takes its time, and is for contact only
 
-        dim = self.points.shape[1]
-        spread = scipy.sparse.kron(self.map, scipy.sparse.identity(dim), format="csr")
-        rows = (self._mine[:, None] * dim + np.arange(dim)).ravel()
-        part = (spread.T @ H @ spread).tocsr()[rows].tocoo()
-        names, first = self.dofs.ravel(), A.getOwnershipRange()[0]
-        places = names[rows[part.row]] - first, names[part.col]
-        K = scipy.sparse.csr_matrix((part.data, places), shape=A.getSizes()[0])
+        dim, ranges = self.points.shape[1], A.getOwnershipRanges()
+        # In blocks, which keep those of their entries that are zero: rows of nodes are alike.
+        spread = scipy.sparse.kron(self.map, np.eye(dim), format="bsr")
+        part = (spread.T @ H.tobsr(blocksize=(dim, dim)) @ spread).tocsr()
+        names = self.dofs.ravel()
+        # Nodes are sorted by the numbers of their first components, and so by their owners.
+        parts = part.indptr[dim * np.searchsorted(self.dofs[:, 0], ranges)]
+        rows = names[np.repeat(np.arange(len(names)), np.diff(part.indptr))]
+        entries = rows, names[part.indices], part.data
+        sent = [tuple(each[slice(*ends)] for each in entries) for ends in pairwise(parts)]
+        found = self.comm.alltoall(sent) if self.comm.size > 1 else sent
+        i, j, values = (np.concatenate(each) for each in zip(*found, strict=True))
+        first = A.getOwnershipRange()[0]
+        K = scipy.sparse.csr_matrix((values, (i - first, j)), shape=A.getSizes()[0])
         csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
         return PETSc.Mat().createAIJ(A.getSizes(), A.getBlockSize(), csr=csr, comm=self.comm)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact of deformable surfaces: derivatives, stacked blocks, a crushed ring, ranks, bad input."""
+"""Contact of deformable surfaces: derivatives, stacked blocks, a crushed ring, bad input."""
 
 import re
 from itertools import combinations
@@ -9,9 +9,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import ufl
-from conftest import scripts
 from dolfinx import fem
 from quotients import rates
+from stacks import stack
 
 from demos.benchmarks import self_contact
 from demos.benchmarks.self_contact import crossings
@@ -19,41 +19,6 @@ from variform import forms, meshes
 from variform.forms import contact
 
 pytest.importorskip("ipctk", reason="ipctk, an optional package, is not installed")
-
-STACK = """
-import numpy as np
-from variform import meshes
-
-
-def stack(comm, below, above, gap, dim=2):
-    \"\"\"Two unit blocks of different meshes on each other, a gap between them.\"\"\"
-    points, cells, names, start = [], [], {}, 0
-    for name, n, y in (("low", below, 0.0), ("up", above, 1.0 + gap)):
-        axes = [np.linspace(0, 1, n + 1)] * dim
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
-        number = np.arange((n + 1) ** dim).reshape((n + 1,) * dim)
-        i = [number[tuple(slice(a, a + n) for a in corner)].ravel()
-             for corner in np.ndindex((2,) * dim)]
-        order = [0, 2, 3, 1] if dim == 2 else [0, 4, 6, 2, 1, 5, 7, 3]
-        cells.append(np.stack([i[k] for k in order], axis=1) + start)
-        ids = np.arange(len(grid)) + start
-        names[f"{name} face"] = ids[grid[:, -1] == (1.0 if name == "low" else 0.0)]
-        names[f"{name} end"] = ids[grid[:, -1] == (0.0 if name == "low" else 1.0)]
-        for axis in range(dim - 1):
-            for value in (0.0, 1.0):
-                side = names.setdefault(f"side {axis}", np.empty(0, int))
-                names[f"side {axis}"] = np.r_[side, ids[grid[:, axis] == value]]
-        grid = grid.copy()
-        grid[:, -1] += y
-        points.append(grid)
-        start += len(grid)
-    kind = {2: "quadrilateral", 3: "hexahedron"}[dim]
-    return meshes.from_arrays(
-        comm, np.concatenate(points), np.concatenate(cells), cell=kind, boundaries=names
-    )
-"""
-exec(STACK)  # the same text goes to programs on several ranks
-stack = globals()["stack"]
 
 
 def pressed(comm, below, above, dhat, degree=1, dim=2, parts=None, by=0.1, **options):
@@ -253,53 +218,6 @@ def test_a_ring_is_crushed_flat_between_two_plates():
     assert np.ptp(x[:, 1]) < 0.1 and crossing(x, term.surface.edges.tolist()) == 0
     assert term.certified() and all(step.bounds.lower > 0 for step in path.steps)
     assert all(step.clearance.distance > 0 for step in path.steps)
-
-
-RANKS = (
-    STACK
-    + """
-import json
-from mpi4py import MPI
-import ufl
-from variform import forms
-from variform.forms import contact
-
-body = stack(MPI.COMM_WORLD, 3, 4, 0.01, dim=3)
-t, u = forms.load_factor(body), forms.displacement(body)
-psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
-term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.02)
-held = [forms.clamp(u, body.facets("low end"))]
-held.append(forms.translate(u, body.facets("up end"), (0.03 * t, 0, -0.1 * t)))
-path = forms.follow([psi, term], u, held, t, rtol=1e-11, ctol=1e-9, progress=False)
-force, _ = forms.resultant(path, body.facets("up end"))
-place = forms.at(u, (1.0, 1.0, 1.0))
-own = contact.force(path, body.facets("up face"))
-p, g = contact.pressure(path), contact.gap(path)
-fields = [forms.integral(f * body.ds(s)) for f in (p, g) for s in ("up face", "low face")]
-# Pushed on along the face, with friction.
-upper = ufl.gt(ufl.SpatialCoordinate(body.mesh)[2], 1.005)
-V = ufl.as_vector([ufl.conditional(upper, 1.0, 0.0), 0, 0])
-t.value, held = 1.0, [forms.clamp(u, body.facets("low end"))]
-free = forms.transient(
-    [psi, term], u, held, t, to=1.02, dt=0.004, rho=1.0, velocity=V, rtol=1e-11, ctol=1e-9,
-    scheme="bdf2", dissipation=forms.friction(term, 0.3, 0.1), progress=False,
-)
-moved = forms.at(u, (1.0, 1.0, 1.01))
-lost = sum(row.dissipated for row in free.ledger)
-if MPI.COMM_WORLD.rank == 0:
-    print(json.dumps([*map(float, [*force, *place, *own, *fields, *moved, lost])]))
-"""
-)
-
-
-@pytest.mark.slow
-def test_ranks_agree_on_surfaces(run, tmp_path):
-    """1, 2 and 3 ranks: forces, places, pressure, gap, a motion with friction: 1e-8."""
-    start = scripts(run, tmp_path)
-    one = start(RANKS, 1)
-    assert abs(one[2]) > 0.1 and one[-1] > 1e-4
-    for ranks in (2, 3):
-        assert start(RANKS, ranks) == pytest.approx(one, rel=1e-8, abs=1e-9)
 
 
 def test_a_thrown_block_lands_on_a_soft_one():

@@ -11,10 +11,11 @@ import pytest
 from conftest import ROOT
 from dolfinx.mesh import entities_to_geometry
 
-from demos.validation import inflation, land, treloar
+from demos.benchmarks.hertz import known
+from demos.validation import hertz, inflation, land, treloar
 from demos.validation.cases import CASES
 from demos.validation.page import shrink
-from variform import meshes
+from variform import forms, meshes
 
 FOLDER = ROOT / "demos" / "validation"
 
@@ -162,6 +163,27 @@ def test_a_fit_does_not_depend_on_where_it_starts(monkeypatch):
     assert treloar.fit("Ogden")[1] == pytest.approx(found, rel=1e-9)
 
 
+def test_pressures_of_hertz_add_up_to_the_force():
+    """Integrals of p0 sqrt(1 - s^2) over half the width, over the disk; p0 by the half-width."""
+    s = (np.arange(100_000) + 0.5) / 100_000
+    for kind, area in (("cylinder", lambda a: a), ("sphere", lambda a: 2 * np.pi * a**2 * s)):
+        a, peak = known(kind, 1.7e-3)
+        assert np.mean(peak * np.sqrt(1 - s**2) * area(a)) == pytest.approx(1.7e-3, rel=1e-6)
+        # By the radius: E* a / (2 R), and 2 E* a / (pi R), both of R = 1 and E = 1.
+        slope = {"cylinder": 1 / 2, "sphere": 2 / np.pi}[kind]
+        assert peak == pytest.approx(slope * a / (1 - 0.3**2), rel=1e-12)
+
+
+def test_blocks_in_series_respond_as_their_energy():
+    """Force of a block, stretched along one axis alone, is the energy's stress: 1e-12."""
+    for stretch in (0.8, 0.95, 1.1):
+        P = forms.evaluate(
+            lambda F: forms.energies.neo_hookean(F, hertz.MU, hertz.LMBDA),
+            np.diag([1.0, stretch, 1.0]),
+        )
+        assert hertz.response(stretch) == pytest.approx(-P[1][1, 1], rel=1e-12)
+
+
 def test_data_name_their_sources():
     """Every file of measurements says in its first line where it comes from."""
     files = list((FOLDER / "data").glob("*.csv"))
@@ -177,8 +199,8 @@ def test_page_numbers_and_pictures_are_complete():
     numbers = json.loads((FOLDER / "numbers.json").read_text())
     assert list(numbers) == list(CASES)
     for name, case in CASES.items():
-        for key, known in case.known.items():
-            assert abs(numbers[name][key] - known.reference) <= known.tolerance, (name, key)
+        for key, wanted in case.known.items():
+            assert abs(numbers[name][key] - wanted.reference) <= wanted.tolerance, (name, key)
         assert f"### {name}: {case.title}" in page and f"](figures/{name}.png)" in page
         for key, value in numbers[name].items():
             assert f"| {key} | {value:.8g}" in page
@@ -221,13 +243,13 @@ def edges_of(mesh):
 @pytest.mark.slow
 def test_a_case_runs_is_judged_and_agrees_with_the_numbers_kept(command, tmp_path):
     """The command writes picture and numbers, and the comparison with the kept ones is empty."""
-    done = command("inflation", "treloar")
+    done = command("inflation", "treloar", "press")
     assert done.stdout.endswith("Every number is within its tolerance.\n") and done.stderr == ""
     folder = tmp_path / "results" / "validation"
-    for name in ("inflation", "treloar"):
+    for name in ("inflation", "treloar", "press"):
         assert (folder / f"{name}.png").stat().st_size > 10_000
     kept = FOLDER / "numbers.json"
-    done = command("--compare", kept, "inflation", "treloar")
+    done = command("--compare", kept, "inflation", "treloar", "press")
     assert done.stdout.endswith(" numbers agree to 1e-08, 0 do not.\n")
 
 

@@ -26,67 +26,27 @@ from variform import forms, meshes
 from variform.forms import contact, obstacles
 from variform.forms.solving.settings import Settings
 
+from .hertz import NU, STIFF, A, E, R, graded, in_space, known, parabola, width
 from .record import Table, insert, markdown, median_times, save
 
-A, R, E, NU = 0.05, 1.0, 1.0, 0.3
 SIZES = {1: (10, 20, 40), 2: (10, 20)}
 REACHES = (0.4, 0.2, 0.1, 0.05, 0.025)  # dhat over h
-STIFF = E / (1 - NU**2)
-
-
-def graded(h, fine, length, ratio=1.15):
-    """Coordinates of nodes: h apart up to a length, then farther and farther."""
-    x, d = list(np.arange(0, fine + h / 2, h)), h
-    even = len(x)
-    while x[-1] < length:
-        d *= ratio
-        x.append(x[-1] + d)
-    x = np.array(x)
-    x[even:] = fine + (x[even:] - fine) * (length - fine) / (x[-1] - fine)
-    return x
 
 
 def hertz(kind, degree, per, reach, stiffness=None):
     """A row: errors of half-width and peak, steps, iterations, CPU time."""
-    h = A / per
-    x, y = graded(h, 2 * A, 20 * A), graded(h, A, 20 * A)
-    n = len(x) - 1, len(y) - 1
-    size = (float(n[0]), float(n[1]))
-    body = meshes.block(MPI.COMM_SELF, size, n=n, cells="quadrilateral", order=degree)
-    X = body.mesh.geometry.x
-    X[:, 0] = np.interp(X[:, 0], np.arange(len(x)), x)
-    depth = np.interp(X[:, 1], np.arange(len(y)), y)
-    X[:, 1] = depth + X[:, 0] ** 2 / (2 * R) * (1 - depth / y[-1])
-    u, t = forms.displacement(body, degree), forms.load_factor(body)
-    ball = kind == "sphere"
-    F = forms.axisymmetric(u) if ball else forms.deformation_gradient(u)
-    e = ufl.sym(F) - ufl.Identity(3)
-    psi = E / (2 * (1 + NU)) * (ufl.inner(e, e) + NU / (1 - 2 * NU) * ufl.tr(e) ** 2)
-    psi = psi * forms.circumference(u) if ball else psi
-    floor, dhat = obstacles.plane((0, 0), (0, 1)), reach * h
-    wall = forms.obstacle(u, floor, body.ds("bottom"), dhat=dhat, gap=dhat, stiffness=stiffness)
-    down = forms.translate(u, body.facets("top"), (None, -(0.0027 if ball else 0.0045) * t))
-    held = [forms.roller(u, body.facets("left"), 0), down]
     start = time.process_time()
-    path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False)
+    path, body = parabola(kind, degree, per, reach, stiffness)
     seconds = time.process_time() - start
-    p, P = contact.pressure(path), -contact.force(path)[1]
-    r, ds = ufl.SpatialCoordinate(body.mesh)[0], body.ds("bottom", degree=6)
-    weight = r if ball else 1.0
-    second = forms.integral(p * weight * r**2 * ds) / forms.integral(p * weight * ds)
-    if ball:
-        a, moment = (3 * P * R / (4 * STIFF)) ** (1 / 3), 2 / 5
-        peak = 3 * P / (2 * np.pi * a**2)
-    else:
-        a, moment = np.sqrt(8 * P * R / (np.pi * STIFF)), 1 / 4
-        peak = 4 * P / (np.pi * a)
+    p = contact.pressure(path)
+    a, peak = known(kind, -contact.force(path)[1])
     return {
         "body": kind,
         "element": f"Q{degree}",
         "a/h": per,
         "dhat/h": reach,
         "dofs": path.problem.size,
-        "width": float(f"{np.sqrt(second / moment) / a - 1:.3g}"),
+        "width": float(f"{width(kind, p, body) / a - 1:.3g}"),
         "peak": float(f"{p.x.array.max() / peak - 1:.3g}"),
         "steps": len(path.steps),
         "tangents": path.tangents,
@@ -144,48 +104,6 @@ def cylinders(per, reach, degree=1, more=1.3):
         found[f"peak, {name}"] = float(f"{p.x.array[there].max() / (4 * P / (np.pi * a)) - 1:.3g}")
     return {
         **found,
-        "a/R": float(f"{a / R:.3g}"),
-        "steps": len(path.steps),
-        "tangents": path.tangents,
-        "seconds": round(seconds, 2),
-    }
-
-
-def ball(per, reach, ratio=1.3):
-    """A row: sphere on a plane in space, a quarter of it, graded hexahedra."""
-    h = A / per
-    x, z = graded(h, 2 * A, 10 * A, ratio), graded(h, A, 10 * A, ratio)
-    n = len(x) - 1, len(x) - 1, len(z) - 1
-    body = meshes.block(MPI.COMM_SELF, tuple(map(float, n)), n=n, cells="hexahedron")
-    X = body.mesh.geometry.x
-    for axis in (0, 1):
-        X[:, axis] = np.interp(X[:, axis], np.arange(len(x)), x)
-    depth = np.interp(X[:, 2], np.arange(len(z)), z)
-    r2 = X[:, 0] ** 2 + X[:, 1] ** 2
-    X[:, 2] = depth + r2 / (2 * R) * (1 - depth / z[-1])
-    u, t = forms.displacement(body), forms.load_factor(body)
-    e = ufl.sym(forms.deformation_gradient(u)) - ufl.Identity(3)
-    psi = E / (2 * (1 + NU)) * (ufl.inner(e, e) + NU / (1 - 2 * NU) * ufl.tr(e) ** 2)
-    dhat = reach * h
-    plane = obstacles.plane((0, 0, 0), (0, 0, 1))
-    floor = forms.obstacle(u, plane, body.ds("bottom"), dhat=dhat, gap=dhat)
-    held = [forms.roller(u, body.facets(side), axis) for side, axis in (("left", 0), ("front", 1))]
-    held.append(forms.translate(u, body.facets("top"), (None, None, -0.0027 * t)))
-    start = time.process_time()
-    path = forms.follow(psi * ufl.dx + floor, u, held, t, progress=False)
-    seconds = time.process_time() - start
-    p, P = contact.pressure(path), -4 * contact.force(path)[2]
-    a = (3 * P * R / (4 * STIFF)) ** (1 / 3)
-    x, ds = ufl.SpatialCoordinate(body.mesh), body.ds("bottom", degree=6)
-    second = forms.integral(p * (x[0] ** 2 + x[1] ** 2) * ds) / forms.integral(p * ds)
-    return {
-        "body": "sphere in space",
-        "element": "Q1",
-        "a/h": per,
-        "dhat/h": reach,
-        "dofs": path.problem.size,
-        "width": float(f"{np.sqrt(2.5 * second) / a - 1:.3g}"),
-        "peak": float(f"{p.x.array.max() / (3 * P / (2 * np.pi * a**2)) - 1:.3g}"),
         "a/R": float(f"{a / R:.3g}"),
         "steps": len(path.steps),
         "tangents": path.tangents,
@@ -329,7 +247,8 @@ def surfaces(measurements, small=False):
     for per in (5,) if small else (10, 20):
         for reach in (0.1,) if small else (0.4, 0.1):
             measurements.add(**cylinders(per, reach))
-    measurements.add(**ball(*((3, 0.2) if small else (6, 0.1))))
+    for reach in (0.2,) if small else (0.1, 0.05):
+        measurements.add(**in_space(4 if small else 21, reach))
     measurements.add(**overhead(4 if small else 26))
     lines = []
     for r in measurements.rows:

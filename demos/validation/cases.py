@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from math import pi
 
-from . import inflation, land, reused, treloar
+from . import hertz, inflation, land, reused, treloar
 
 LAND = "Land et al., *Proc. R. Soc. A* 471 (2015) 20150641"
 
@@ -154,5 +154,41 @@ CASES = {
         reused.muscle,
         {"distance": Known(0, 2e-3), "energy": Known(0, 1e-3)},
         "muscle",
+    ),
+    "hertz": Case(
+        "Contact: a cylinder and a sphere pressed on a plane",
+        "Hertz's closed forms, at the force that is found",
+        hertz.hertz,
+        {
+            **{
+                f"{kind}, {what}": Known(1, 0.01)
+                for kind in ("cylinder", "sphere")
+                for what in ("half-width", "peak")
+            },
+            "cylinder, profile": Known(0, 0.02),
+            "sphere, profile": Known(0, 0.02),
+        },
+        "hertz",
+        "Of linear elasticity, a/R = 0.05, 20 a wide and high, plane strain and a body of "
+        "revolution; quadrilaterals of degree 1, a/h = 40 at the contact, dhat = h/10. "
+        "Half-width by the second moment of the projected pressure, and its largest value, over "
+        "Hertz's; profile is the root mean square of p - p_Hertz over that of p_Hertz. What other "
+        "cells and reaches make of it: [benchmarks](../benchmarks/README.md#contact).",
+    ),
+    "press": Case(
+        "Contact: two blocks of different meshes pressed evenly",
+        "closed form, two blocks in series with the gap that the barrier leaves",
+        hertz.press,
+        {
+            "force": Known(1, 2e-3),
+            "stress beside, low": Known(0, 5e-3),
+            "stress beside, up": Known(0, 5e-3),
+            "stress, largest": Known(0, 1e-2),
+        },
+        "press",
+        "Plane strain between rollers, 8 x 8 cells below and 13 x 13 above, pressed together by a "
+        "tenth of a block's height; dhat = 1/1040 of it. The force over that of the closed form, "
+        "and P22 over its mean, less 1: root mean squares over the rows of cells beside the "
+        "contact, and the largest of any cell. Surfaces need ipctk.",
     ),
 }
