@@ -8,14 +8,7 @@ import dolfinx
 import numpy as np
 import pytest
 
-from demos.benchmarks import (
-    cluster,
-    fidelity,
-    fidelity_felupe,
-    hard_cases,
-    hard_scenes,
-    small_steps,
-)
+from demos.benchmarks import cluster, hard_cases, hard_scenes
 from demos.benchmarks.peers import pressed
 from demos.benchmarks.peers.points import right_values, states
 from demos.benchmarks.peers.problem import block, quadratic, turned
@@ -60,58 +53,6 @@ def test_benchmark_of_hard_cases_runs(run, tmp_path):
     paths = [row for row in rows if row["case"] != "scrambled" and row["solved"]]
     assert all("energy" in row["numbers"] for row in paths)
     assert (tmp_path / "results" / "hard_cases.csv").stat().st_size > 1000
-
-
-def test_benchmark_of_fidelity_runs(run, tmp_path):
-    """Four cheap paths end where small steps do, one of them at a limit point before the end."""
-    done = run("-m", "demos.benchmarks.fidelity", "--small", cwd=tmp_path)
-    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    ours = [row for row in rows if row["solver"] == "variform"]
-    assert len(rows) == 12 and {row["verdict"] for row in ours} == {"right"}
-    ends = {row["scene"]: row["part"] for row in ours if row["part"] < 1}
-    # 1.2394 of 1.3 from 0.2 on, the limit pressure of a sphere, and that of its mesh.
-    assert list(ends) == ["ball, blow 1300, sheet, P2 0.25"]
-    assert list(ends.values()) == pytest.approx([(1.2394 - 0.2) / 1.1], abs=0.005)
-    assert all(row["off"] < 1e-6 for row in ours if row["part"] == 1)
-    assert all(row["unaccounted"] < 1e-3 for row in ours)
-    assert (tmp_path / "results" / "fidelity.csv").stat().st_size > 1000
-
-
-@pytest.mark.skipif(not fidelity_felupe.is_there(), reason="FElupe is not installed")
-def test_felupe_ends_where_small_steps_do():
-    """With its own elements and energies: nodes, supports and moduli are those of the scene."""
-    (name,) = fidelity.chosen(["cube, shear 100, saint_venant_kirchhoff"])
-    assert fidelity_felupe.can_express(name)
-    assert not fidelity_felupe.can_express("bar, twist 90, fibers 5, P2 0.1")
-    row = fidelity.by_felupe(fidelity.build(name), json.loads(fidelity.FILE.read_text())[name])
-    assert row["verdict"] == "right" and row["off"] < 1e-6 and row["tangents"] > fidelity.STEPS
-
-
-def test_fidelity_tells_wrong_from_right():
-    """Small steps find what is kept; a state mirrored or short of the end is not taken for it."""
-    (name,) = fidelity.chosen(["strip, tip 2,"])
-    kept, scene = json.loads(fidelity.FILE.read_text())[name], fidelity.build(name)
-    run = small_steps.walk(scene, 20)
-    assert fidelity.verdict(scene, kept, run.load) == ("right", pytest.approx(0, abs=1e-8))
-    assert scene.problem.energy() == pytest.approx(kept["energy"], rel=1e-8)
-    # The trapezoidal rule's error falls with the square of the steps.
-    assert kept["missed"][0] / kept["missed"][1] == pytest.approx(4, abs=0.3)
-    scene.u.x.array[1::2] *= -1  # bent the other way, as long and with as much energy stored
-    assert fidelity.verdict(scene, kept, run.load)[0] == "wrong"
-    assert fidelity.verdict(scene, kept, run.load, noted=["a bifurcation"])[0] == "noted"
-    assert fidelity.verdict(scene, kept, 0.99)[0] == "stopped"
-    stops = {**kept, "reached": False, "load": 0.98}
-    assert fidelity.verdict(scene, stops, 0.99)[0] == "right"
-    assert fidelity.verdict(scene, stops, 0.95)[0] == "stopped"
-    assert fidelity.verdict(scene, stops, 1.0)[0] == "wrong"
-
-
-def test_fidelity_has_references():
-    """Forty scenes and more, each with a reference, nine tenths of them beyond doubt."""
-    kept = json.loads(fidelity.FILE.read_text())
-    assert list(kept) == list(fidelity.NAMES) and len(kept) >= 40
-    certain = [each for each in kept.values() if not each["doubts"]]
-    assert len(certain) >= 0.9 * len(kept)
 
 
 def test_hard_cases_refuse_another_branch():
@@ -263,14 +204,6 @@ def test_benchmark_of_peers_runs(run, tmp_path):
     smooth = [state for state in states() if state not in ("rank 1", "zero")]
     assert len(smooth) == 8 and all(ours[state] == "right / right" for state in smooth)
     assert (tmp_path / "results" / "peers.png").stat().st_size > 10_000
-
-
-def test_peers_are_started_without_dolfinx(run):
-    """Any Python starts them: here one that finds no package of the system."""
-    done = run("-S", "-m", "demos.benchmarks.peers", "--help")
-    assert "--compare" in done.stdout
-    done = run("-S", "-m", "demos.benchmarks.locking", check=False)
-    assert done.returncode != 0 and "docker/enter before the command" in done.stderr
 
 
 def test_benchmark_of_a_pressed_cube_runs(run, tmp_path):

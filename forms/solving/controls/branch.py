@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -16,6 +17,7 @@ from ..newton import Newton
 
 RATES = 4  # states whose load factors' slope is taken
 GAP = 0.4  # distance of states from a bifurcation that is passed, over the critical step
+BESIDE = 0.1  # the same over the step that it was found in afterwards
 NOTHING: np.ndarray = np.empty(0)
 
 
@@ -98,6 +100,11 @@ class Branch:
             self.count = count
             return ""
         here = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
+        before = self._at_last_state(before)
+        self.put(here)
+        if count == before:
+            self.count = count
+            return ""
         step = abs(self._goal - self.place)
         states = [here, *self._past]
         if step > self.settings.critical * self.way and self._may_be_another_branch(states):
@@ -118,6 +125,39 @@ class Branch:
         self.put(here)
         self.count = count
         return ""
+
+    def _at_last_state(self, told: int) -> int:
+        """Negative eigenvalues at the last accepted state; another is of an event before it.
+
+        What was told of it came from factors of an iterate, on whose other side the event may be.
+        """
+        if len(self._past) < 2 or not self.path.steps:
+            return told
+        self.put(self._past[0])
+        found = self.corrector.refactor()
+        if found is None or found == told:
+            return told
+        self.path.events.append(self._past_event(told, found))
+        last = self.path.steps[-1]
+        convergence = replace(last.convergence, negative=found)
+        self.path.steps[-1] = replace(last, convergence=convergence)
+        return found
+
+    def _past_event(self, before: int, after: int) -> Event:
+        """What lies between the last two accepted states, by one on either side of it, too."""
+        states = list(self._past)
+        high, low = states[0].place, states[1].place
+        about = self._critical.place(states, before, 0.0, most=2)  # by the eigenvalues at both
+        for place in (about - BESIDE * (high - low), about + BESIDE * (high - low)):
+            if not (place - low) * (high - place) > 0:
+                continue
+            self.aim(place)
+            self.path.u.x.array[:], self.q.value = through(states, place)
+            if self.corrector.solve(self.level).converged:
+                here = State(self.path.u.x.array.copy(), float(self.q.value), place)
+                states.insert(2, here)  # the first two remain those between which it is
+        place = self._critical.place(states, before, 1e-6 * self.way)
+        return self._event(self._past, place, before, after)
 
     def _may_be_another_branch(self, states: Sequence[State]) -> bool:
         """Whether a change of the count calls for short steps: not where the load factor turns."""
