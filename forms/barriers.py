@@ -96,6 +96,21 @@ class Barrier:
         worst = int(np.argmin(d))
         return Clearance(float(d[worst]), tuple(x[worst].tolist()), self.label.name)
 
+    def acting(self) -> NDArray[np.int32]:
+        """Local numbers, those of ghosts included, of what moves points within reach; local."""
+        found, u = [np.empty(0, np.int32)], self._u.x.array
+        for X, N, dofs in self._parts:
+            x = (X + _moved(N, u, dofs)).reshape(-1, self._dim)
+            if len(x):
+                near = (self._bounds(x, x)[0] < self.reach).reshape(len(dofs), len(N))
+                found.append(dofs[near.any(axis=1)].ravel())
+        return np.unique(np.concatenate(found)).astype(np.int32)
+
+    @property
+    def reach(self) -> float:
+        """Distance below which the obstacle acts [m]."""
+        return float(self.label.reach.value)
+
     def largest_step(self, step: Array, moves: Mapping[Any, float]) -> float:
         """Fraction of a step, and of moves of Constants, that leaves KEPT of all distances."""
         x = self.places()
@@ -226,8 +241,12 @@ class Barriers:
 
     def near(self) -> bool:
         """Whether any obstacle acts at the present state. Collective."""
-        own = any(b.clearance().distance < float(b.label.reach.value) for b in self.all)
+        own = any(b.clearance().distance < b.reach for b in self.all)
         return bool(self.all) and bool(self._comm.allreduce(own, MPI.LOR))
+
+    def acting(self) -> NDArray[np.int32]:
+        """Local numbers, those of ghosts included, of what moves points within reach; local."""
+        return np.concatenate([np.empty(0, np.int32), *(b.acting() for b in self.all)])
 
     def begin(self) -> None:
         """Take the present state for a start. Collective.
@@ -236,7 +255,7 @@ class Barriers:
             ValueError: the body touches an obstacle there, or is beyond it.
         """
         found = self.clearance()
-        reach = {b.label.name: float(b.label.reach.value) for b in self.all}
+        reach = {b.label.name: b.reach for b in self.all}
         shift = {b.label.name: b.label.shift for b in self.all}
         if self.all and not found.distance > TOUCHING * reach[found.obstacle]:
             dhat, gap = reach[found.obstacle], shift[found.obstacle]

@@ -47,9 +47,11 @@ class Touching:
         unknown: The unknown.
         ipc, mesh, potential: ipctk, and the surface and its barrier as ipctk has them.
         couples: True: its tangent joins nodes that no cell joins.
+        majorized: Whether its tangent is projected always, for solvers that need a definite one.
     """
 
     couples = True
+    majorized = False
 
     def __init__(
         self,
@@ -188,6 +190,11 @@ class Touching:
             found[ids] = np.minimum(found[ids], d - self.thickness)
         return found
 
+    def acting(self) -> NDArray:
+        """Owned degrees of freedom that it acts on at the state that was prepared. Collective."""
+        numbers, values = self.surface.own_forces(np.abs(self.forces()))
+        return np.asarray(numbers[values != 0])
+
     def residual(self, b: PETSc.Vec) -> None:
         """Add the derivative of the energy. Collective."""
         numbers, values = self.surface.own_forces(self.forces())
@@ -195,10 +202,15 @@ class Touching:
             local.array[numbers] += values
 
     def coupling(self, A: PETSc.Mat, projected: bool = False) -> PETSc.Mat:
-        """Second derivative of the energy, of A's layout; a matrix of its own. Collective."""
-        ipc = self.ipc
-        how = ipc.PSDProjectionMethod.CLAMP if projected else ipc.PSDProjectionMethod.NONE
-        H = self.potential.hessian(self._share, self.mesh, self._x, how)
+        """Second derivative of the energy, of A's layout; a matrix of its own. Collective.
+
+        Projected pair by pair, those left out that are counted off: the sum has to be positive.
+        """
+        ways = self.ipc.PSDProjectionMethod
+        how, pairs = ways.NONE, self._share
+        if projected or self.majorized:
+            how, pairs = ways.CLAMP, added(pairs)
+        H = self.potential.hessian(pairs, self.mesh, self._x, how)
         return self.surface.stiffness(H, A)
 
     def largest_step(self, step: PETSc.Vec) -> float:
@@ -281,6 +293,21 @@ def share(pairs: Any, rank: int, size: int) -> Any:
         setattr(own, f"{kind}_collisions", [pairs[k] for k in mine])
         first = end
     return own
+
+
+def added(pairs: Any) -> Any:
+    """The pairs of positive weight; the others take off what several pairs have in common. Local.
+
+    Args:
+        pairs: ipctk's NormalCollisions.
+    """
+    found = type(pairs)()
+    found.use_area_weighting = pairs.use_area_weighting
+    found.collision_set_type = pairs.collision_set_type
+    for kind in KINDS:
+        listed = getattr(pairs, f"{kind}_collisions")
+        setattr(found, f"{kind}_collisions", [pair for pair in listed if pair.weight > 0])
+    return found
 
 
 def _without(holds: Callable[[int], bool]) -> Callable[[int], bool]:

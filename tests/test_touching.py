@@ -17,6 +17,8 @@ from demos.benchmarks import self_contact
 from demos.benchmarks.self_contact import crossings
 from variform import forms, meshes
 from variform.forms import contact
+from variform.forms.solving.linear.patch import touched
+from variform.forms.solving.settings import Settings
 
 pytest.importorskip("ipctk", reason="ipctk, an optional package, is not installed")
 
@@ -148,6 +150,52 @@ def test_pressure_where_dhat_is_longer_than_the_pieces():
     for side in ("up face", "low face"):
         load = forms.integral(contact.pressure(path) * body.ds(side))
         assert load == pytest.approx(-up, rel=1e-2)  # of wavy faces
+
+
+def test_multigrid_solves_exactly_where_surfaces_touch():
+    """The block of all nodes in contact, in the smoother of degree 2: CG to 1e-6 in fewer steps."""
+    body = stack(MPI.COMM_SELF, 4, 6, 0.002, 3)
+    u = forms.displacement(body, 2)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+    term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.01)
+    held = [forms.clamp(u, body.facets(f"{name} end")) for name in ("low", "up")]
+    problem, counts = forms.Problem([psi, term], u, held), {}
+    problem.prepare()
+    rows = touched(problem)
+    assert len(rows) == 3 * (9**2 + 13**2)  # all nodes of both faces
+    for smoother in ("python", "pbjacobi"):
+        options = {"ksp_rtol": 1e-6} | (
+            {} if smoother == "python" else {"smoother_pc_type": smoother}
+        )
+        newton = forms.solving.Newton(problem, options=options)
+        newton.tangent.projecting = True
+        newton.tangent.assemble()
+        ksp = newton.tangent.ksp
+        ksp.setOperators(newton.tangent.product, newton.tangent.A)
+        assert ksp.getPC().getMGSmoother(1).getPC().getType() == smoother
+        b, x = problem.create_vector(), problem.create_vector()
+        b.array[rows] = np.cos(np.arange(len(rows)))
+        assert newton.tangent.solve(b, x), ksp.getConvergedReason()
+        counts[smoother] = ksp.getIterationNumber()
+        newton.destroy()
+    assert counts["python"] < 0.7 * counts["pbjacobi"]
+
+
+def test_beyond_the_size_of_factors_contact_is_projected():
+    """Blocks come to touch by multigrid alone, which needs definite tangents; the same state."""
+    ends = []
+    for size in (0, 10**9):
+        settings = Settings(direct_up_to=0, factorized_up_to=size)
+        how = {"degree": 2, "dim": 3, "by": 0.02, "settings": settings, "rtol": 1e-10}
+        _, term, path = pressed(MPI.COMM_SELF, 2, 3, 0.005, **how)
+        assert term.majorized == (size == 0) and path.completed
+        by_multigrid = sum(step.convergence.linear_iterations for step in path.steps)
+        newton = sum(step.convergence.iterations for step in path.steps)
+        assert (by_multigrid > 2 * newton) == (size == 0)  # factors take one iteration each
+        # Of the projected tangent eigenvalues say nothing.
+        assert (path.steps[-1].convergence.negative is None) == (size == 0)
+        ends.append(path.u.x.array)
+    assert ends[0] == pytest.approx(ends[1], abs=1e-8)
 
 
 def test_a_state_in_which_surfaces_cross_is_no_solution(monkeypatch):

@@ -112,7 +112,7 @@ class Corrector:
         Where it does, MUMPS takes the place of multigrid for good, and counts.
         """
         kept = self.newton.tangent.kept
-        if not (kept.used and self.problem.minimization):
+        if not (kept.used and self.problem.minimization) or self.newton.tangent.majorizes:
             return None
         self.newton.tangent.refresh()
         return not kept.sees_negative_curvature()
@@ -135,11 +135,14 @@ class Corrector:
         """After a linear solve that failed: a fresh preconditioner, or MUMPS. Collective.
 
         MUMPS if the first solve of a step fails, at a state near the path. A later one that fails
-        is at an iterate of a step too long.
+        is at an iterate of a step too long. Beyond the size of factorizations contact is projected
+        first.
         """
         kept = self.newton.tangent.kept
         if kept.slow:
             return self.newton.leave_multigrid()
+        if kept.used and self.problem.couples and self.newton.tangent.majorize():
+            return True
         if self._sizes and not self._renewed:
             self._renewed = kept.renew_if_stale()
             return self._renewed

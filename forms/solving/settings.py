@@ -39,7 +39,8 @@ class Settings:
             is built anew: that costs as much as 25 to 50 of them.
         slow: Iterations for a digit above which a factorization is faster, as in a body that is
             nearly incompressible and has no pressure of its own.
-        factorized_up_to: Unknowns up to which one is then turned to.
+        factorized_up_to: Unknowns up to which one is then turned to; and where surfaces in contact
+            make a tangent indefinite, whose part in it is projected beyond that.
         patience: A lagged preconditioner that fails is given up after so many times its first
             iterations.
         below: The last linear solve aims at this fraction of the goal, if ``digits`` are enough.

@@ -173,6 +173,25 @@ class Tangent:
         self.left_multigrid = True
         return True
 
+    @property
+    def majorizes(self) -> bool:
+        """Whether contact of surfaces enters projected, so that the tangent is not its own."""
+        return any(getattr(term, "majorized", False) for term in self.problem.terms)
+
+    def majorize(self, so: bool = True) -> bool:
+        """Have contact of surfaces projected from now on; whether that is anything new.
+
+        As they come to touch, the tangent passes states where it is not definite. Up to a size
+        MUMPS is faster there, beyond it multigrid with more iterations of Newton's method.
+        """
+        able: list[Any] = [term for term in self.problem.terms if hasattr(term, "majorized")]
+        if so and (self.majorizes or self.problem.size <= self._settings.factorized_up_to):
+            return False
+        for term in able:
+            term.majorized = so
+        self.kept.renew()
+        return bool(able)
+
     def is_ruined(self) -> bool:
         """Whether so much of the last tangent is negative that its step leads nowhere."""
         if not (self._is_its_own() and self.problem.minimization):
@@ -200,6 +219,7 @@ class Tangent:
         self.forget_damping()
         self.scaled.begin()
         self.projecting = self.spoiled = False
+        self.majorize(False)
         again = self.left_multigrid
         if again:
             self.left_multigrid = False
@@ -216,10 +236,12 @@ class Tangent:
         """What is kept from one load to the next: damping, and that multigrid failed."""
         left = presets.direct(self.problem.symmetric) == self.preset
         damping = self.damping and (self.damping.scale, self.damping.strength)
-        return {"direct": left, "damping": damping}
+        return {"direct": left, "majorizes": self.majorizes, "damping": damping}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Take the damping of an earlier one's memory, after the first tangent. Collective."""
+        if memory.get("majorizes"):
+            self.majorize()
         if memory["damping"]:
             if self.damping is None:
                 self.damp()

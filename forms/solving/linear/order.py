@@ -14,6 +14,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from ...problems import Problem
+from .patch import Patch, may_touch
 from .presets import aggregation
 from .rigid import rigid_modes
 
@@ -28,6 +29,8 @@ class OrderMultigrid:
 
     Added:       M^-1 = w D^-1 + P M_1^-1 P^T,  D the blocks of the nodes on K's diagonal
     Multiplied:  SSOR, the correction by M_1 of what is left, SSOR again
+
+    With obstacles or surfaces D has one block for all that is in contact (:class:`Patch`).
 
     The sum needs more iterations, but each costs one product with K instead of four. Smoothed
     aggregation alone needs three to four times as many iterations on elements of degree 2, whose
@@ -77,7 +80,12 @@ class OrderMultigrid:
         smoothing = {"ksp_type": "richardson", "ksp_max_it": "1", "pc_type": "sor"}
         if added:
             smoothing |= {"pc_type": "pbjacobi", "ksp_richardson_scale": WEIGHT}
-        _set(self._pc.getMGSmoother(1), f"{prefix}smoother_", smoothing)
+        smoother = self._pc.getMGSmoother(1)
+        _set(smoother, f"{prefix}smoother_", smoothing)
+        chosen = PETSc.Options().hasName(f"{prefix}smoother_pc_type")
+        if added and may_touch(problem) and not chosen:
+            smoother.getPC().setType("python")
+            smoother.getPC().setPythonContext(Patch(problem))
         below = {"ksp_type": "preonly", **aggregation()}
         _set(self._pc.getMGCoarseSolve(), f"{prefix}coarse_", below)
 
