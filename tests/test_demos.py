@@ -142,6 +142,16 @@ def test_wrap(demo):
     assert numbers["steps"][-1]["records"]["roll"][2] < 0
 
 
+def test_drape(demo):
+    """With friction the cloth's weight rests on the ball, and it does; without much it is gone."""
+    pytest.importorskip("ipctk", reason="ipctk, an optional package, is not installed")
+    numbers, _ = demo("drape", "force.png")
+    assert numbers["stays"]["force over weight"] == pytest.approx(1, abs=0.02)
+    assert numbers["stays"]["speed"] < 5e-3 < numbers["slides"]["speed"]
+    assert numbers["slides"]["force over weight"] == 0
+    assert max(numbers[each]["unaccounted"] for each in ("stays", "slides")) < 1e-3
+
+
 def test_airbag(demo):
     """The cushion's center rises by 217 mm, 3 %, on every mesh."""
     numbers, _ = demo("airbag", "study.png")

@@ -138,6 +138,15 @@ DEMOS = (
         more="`force.png`, the force over the rise",
     ),
     Demo(
+        "drape",
+        shows="a cloth falls on a ball and stays there by friction, or slides off: contact in "
+        "motion, with itself, too",
+        number="force on the ball over the weight 1 (2 %), and 0 with little friction",
+        source="statics: what rests on the ball weighs on it",
+        picture="A square of cloth hanging over a ball in folds",
+        more="`force.png`, the force on the ball over time with much and with little friction",
+    ),
+    Demo(
         "airbag",
         shows="a cushion of two square sheets blown up, wrinkled along its seam: a tension "
         "field, solved from the flat sheet in one call",
