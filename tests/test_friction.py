@@ -76,6 +76,32 @@ def test_a_conveyor_takes_a_block_along():
     assert speed[-1] == pytest.approx(0.5, rel=1e-2) and speed.max() < 0.53
 
 
+def test_a_press_with_friction_bulges():
+    """A plate comes down on a block: with friction it is held there as if it were bonded to it."""
+    force, spread = {}, {}
+    for name in ("smooth", "rough", "bonded"):
+        body = meshes.block(MPI.COMM_SELF, (0.4, 0.2), n=(8, 4), cells="quadrilateral")
+        t, u = forms.load_factor(body), forms.displacement(body)
+        psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1e6, 2e6) * ufl.dx
+        held = [forms.clamp(u, body.facets("bottom"))]
+        plate = forms.obstacles.plane((0, 0.202 - 0.02 * t), (0, -1))
+        top = forms.obstacle(u, plate, body.ds("top"), dhat=2e-3, stiffness=1e6, name="plate")
+        if name == "bonded":
+            held.append(forms.roller(u, body.facets("top"), 0))
+            path = forms.follow(psi + top, u, held, t, progress=False)
+        else:
+            friction = forms.friction(top, 0.8, 1e-5) if name == "rough" else []
+            path = forms.transient(
+                *(psi + top, u, held, t), rho=RHO, to=1.0, scheme="euler", progress=False,
+                dissipation=[*friction, dissipation.kelvin_voigt(2e3)],
+            )  # fmt: skip
+        force[name] = forms.contact.force(path)[1]
+        spread[name] = forms.at(u, (0.4, 0.2))[0]
+    assert force["rough"] == pytest.approx(force["bonded"], rel=5e-3)
+    assert force["rough"] > 1.05 * force["smooth"] > 0
+    assert abs(spread["rough"]) < 1e-2 * spread["smooth"]
+
+
 def test_bad_input_of_friction():
     """No obstacle in the form, mu below 0, a speed of 0, a tool that is no vector."""
     _, _, psi, floor, _ = block()
