@@ -72,9 +72,7 @@ class Moduli:
     def seconds_over(self, mult: Callable[[], float], comm: MPI.Comm) -> float:
         """Time of a product over that of one with a matrix, measured once on this CPU. Collective.
 
-        Once for each size of a rank's part, up to a factor of two.
-
-        0 where rank 0 has too few cells to tell.
+        Once for each size of rank 0's part, up to a factor of two; 0 where that has too few cells.
 
         Args:
             mult: Function that does one with the rank's own part of a matrix, and takes its time.
@@ -83,7 +81,7 @@ class Moduli:
         cells = comm.bcast(self.rules[0].cells)
         if cells < FEWEST:
             return 0.0
-        # By powers of two of the cells: a small matrix is in the CPU's caches.
+        # A small matrix is in the CPU's caches.
         name = f"products {[rule.text for rule in self.rules]} {cells.bit_length()}"
         return measured(comm, name, lambda: self._over(mult))
 

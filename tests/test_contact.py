@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem
 from scipy.optimize import brentq
 
+from demos.benchmarks import hertz
 from variform import forms, meshes
 from variform.forms import contact, obstacles
 
@@ -122,73 +123,28 @@ def test_a_gap_that_falls_is_a_tool_that_comes():
     assert ends[1] == pytest.approx(ends[0], abs=1e-10)
 
 
-def hertz(kind, degree, per, dhat):
-    """Half-width over a / R, peak of the pressure over p0, of a parabola of radius 1 on a plane.
-
-    Linear elasticity, nu = 0.3, E = 1; a / R = 0.05, body 20 a, cells a / per at the contact.
-    """
-    a, R = 0.05, 1.0
-    h = a / per
-    x, y = (_graded(h, fine, 20 * a) for fine in (2 * a, a))
-    n = len(x) - 1, len(y) - 1
-    body = meshes.block(
-        MPI.COMM_SELF, (float(n[0]), float(n[1])), n=n, cells="quadrilateral", order=degree
-    )
-    X = body.mesh.geometry.x
-    X[:, 0] = np.interp(X[:, 0], np.arange(len(x)), x)
-    depth = np.interp(X[:, 1], np.arange(len(y)), y)
-    X[:, 1] = depth + X[:, 0] ** 2 / (2 * R) * (1 - depth / y[-1])
-    u, t = forms.displacement(body, degree), forms.load_factor(body)
-    ball = kind == "sphere"
-    F = forms.axisymmetric(u) if ball else forms.deformation_gradient(u)
-    e, E, nu = ufl.sym(F) - ufl.Identity(3), 1.0, 0.3
-    psi = E / (2 * (1 + nu)) * (ufl.inner(e, e) + nu / (1 - 2 * nu) * ufl.tr(e) ** 2)
-    psi = psi * forms.circumference(u) if ball else psi
-    wall = forms.obstacle(
-        u, obstacles.plane((0, 0), (0, 1)), body.ds("bottom"), dhat=dhat * h, gap=dhat * h
-    )
-    down = forms.translate(u, body.facets("top"), (None, -(0.0027 if ball else 0.0045) * t))
-    held = [forms.roller(u, body.facets("left"), 0), down]
-    path = forms.follow(psi * ufl.dx + wall, u, held, t, progress=False)
-    p, P, Es = contact.pressure(path), -contact.force(path)[1], E / (1 - nu**2)
-    r, ds = ufl.SpatialCoordinate(body.mesh)[0], body.ds("bottom", degree=6)
-    weight = r if ball else 1.0
-    second = forms.integral(p * weight * r**2 * ds) / forms.integral(p * weight * ds)
-    if ball:
-        a, moment = (3 * P * R / (4 * Es)) ** (1 / 3), 2 / 5
-        p0 = 3 * P / (2 * np.pi * a**2)
-    else:
-        P *= 2
-        a, moment = np.sqrt(4 * P * R / (np.pi * Es)), 1 / 4
-        p0 = 2 * P / (np.pi * a)
-    assert a / h > 0.9 * per
-    return np.sqrt(second / moment) / a, p.x.array.max() / p0
-
-
-def _graded(h, fine, length, ratio=1.15):
-    x, d = list(np.arange(0, fine + h / 2, h)), h
-    even = len(x)
-    while x[-1] < length:
-        d *= ratio
-        x.append(x[-1] + d)
-    x = np.array(x)
-    x[even:] = fine + (x[even:] - fine) * (length - fine) / (x[-1] - fine)
-    return x
+def over_hertz(kind, degree, per, reach):
+    """Half-width and peak of the pressure over Hertz's, of a parabola on a plane."""
+    path, body = hertz.parabola(kind, degree, per, reach)
+    p = contact.pressure(path)
+    a, peak = hertz.known(kind, -contact.force(path)[1])
+    assert a / (hertz.A / per) > 0.9 * per
+    return hertz.width(kind, p, body) / a, p.x.array.max() / peak
 
 
 @pytest.mark.parametrize("kind", ["cylinder", "sphere"])
 def test_hertz(kind):
     """Half-width by the second moment, and peak, within 1 % at a / h = 20, dhat = h / 10, Q1."""
-    width, peak = hertz(kind, 1, 20, 0.1)
+    width, peak = over_hertz(kind, 1, 20, 0.1)
     assert width == pytest.approx(1, abs=0.01) and peak == pytest.approx(1, abs=0.01)
-    assert abs(hertz(kind, 1, 10, 0.4)[0] - 1) > 2 * abs(width - 1)
+    assert abs(over_hertz(kind, 1, 10, 0.4)[0] - 1) > 2 * abs(width - 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cylinder", "sphere"])
 def test_hertz_of_degree_two(kind):
     """The same of Q2 on curved cells."""
-    width, peak = hertz(kind, 2, 20, 0.1)
+    width, peak = over_hertz(kind, 2, 20, 0.1)
     assert width == pytest.approx(1, abs=0.01) and peak == pytest.approx(1, abs=0.01)
 
 

@@ -101,6 +101,7 @@ class Branch:
             return ""
         here = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
         before = self._at_last_state(before)
+        self.aim(self._goal)
         self.put(here)
         if count == before:
             self.count = count
