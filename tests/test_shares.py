@@ -124,6 +124,45 @@ def test_a_path_on_ranks_is_taken_up(run, tmp_path):
         assert broken == pytest.approx(whole, rel=1e-8, abs=1e-10)
 
 
+BY_MULTIGRID = """
+import json
+from mpi4py import MPI
+import ufl
+from stacks import stack
+from variform import forms
+from variform.forms.solving.linear.patch import touched
+from variform.forms.solving.settings import Settings
+
+comm = MPI.COMM_WORLD
+body = stack(comm, 2, 3, 0.002, dim=3)
+t, u = forms.load_factor(body), forms.displacement(body, 2)
+psi = forms.energies.neo_hookean(forms.deformation_gradient(u), 1.0, 2.0) * ufl.dx
+floor = forms.obstacles.plane((0, 0, -0.01), (0, 0, 1))
+psi += forms.obstacle(u, floor, body.ds("low end"), dhat=0.02, stiffness=1.0)
+term = forms.touching(u, body.ds("low face", "up face"), stiffness=1.0, dhat=0.005)
+held = [forms.roller(u, body.facets(f"side {k}"), k) for k in (0, 1)]
+held.append(forms.translate(u, body.facets("up end"), (None, None, -0.02 * t)))
+how = {"settings": Settings(direct_up_to=0, factorized_up_to=0), "rtol": 1e-11, "ctol": 1e-9}
+path = forms.follow([psi, term], u, held, t, progress=False, **how)
+acting = comm.allreduce(len(touched(path.problem)))
+force, place = forms.contact.force(path), forms.at(u, (1.0, 1.0, 1.0))
+if comm.rank == 0:
+    print(json.dumps([acting, term.majorized, *map(float, [*force, *place])]))
+"""
+
+
+@pytest.mark.slow
+def test_multigrid_in_contact_is_alike_on_ranks(run, tmp_path):
+    """A block of all that obstacle and surfaces act on, shared out: the same nodes and forces."""
+    start = scripts(run, tmp_path)
+    one = start(BY_MULTIGRID, 1)
+    # m^2 nodes on the floor and on both faces; rollers hold one number at m nodes on four sides.
+    faces = [3 * m**2 - 4 * m for m in (5, 5, 7)]
+    assert one[0] == sum(faces) and one[1] and abs(one[4]) > 0.01
+    for ranks in (2, 3):
+        assert start(BY_MULTIGRID, ranks) == pytest.approx(one, rel=1e-8, abs=1e-9)
+
+
 def test_shares_of_pairs_add_up_to_all():
     """Energy, forces and tangent of 1, 3 and 7 shares are those of all pairs: 1e-13; all even."""
     body = stack(MPI.COMM_SELF, 3, 4, 0.01, dim=3)
