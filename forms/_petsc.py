@@ -24,6 +24,12 @@ class Part(NamedTuple):
     values: NDArray[np.float64]
 
 
+def owned_part(A: PETSc.Mat) -> Part:
+    """Diagonal part of an AIJ matrix, for reading: its state stays the same. Local."""
+    matrix = _sequential(A)[0][0]
+    return _part(matrix, _stored(matrix, "Read"))
+
+
 def parts(A: PETSc.Mat) -> tuple[list[Part], NDArray[np.int32]]:
     """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole.
 
@@ -31,28 +37,47 @@ def parts(A: PETSc.Mat) -> tuple[list[Part], NDArray[np.int32]]:
     PETSc's own and live as long as the matrix has its pattern.
     """
     matrices, names = _sequential(A)
-    found = []
-    for matrix, stored in zip(matrices, values(A), strict=True):
-        count, done = ctypes.c_int32(), ctypes.c_int32()
-        rows, columns = (ctypes.POINTER(ctypes.c_int32)() for _ in range(2))
-        plain = (ctypes.c_int32(0),) * 3  # numbers from 0, the pattern as it is, not of blocks
-        _call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
-        found.append(Part(_array(rows, count.value + 1), _array(columns, len(stored)), stored))
+    found = [_part(*pair) for pair in zip(matrices, values(A), strict=True)]
     width = int(found[-1].columns.max(initial=-1)) + 1 if len(found) == 2 else 0
     return [found[0], found[-1]], _array(names, width)
 
 
+class OffDiagonal:
+    """What couples the rows of this rank of an MPIAIJ matrix to columns of others. Collective.
+
+    Args:
+        A: The matrix, assembled; its numbers may change, its pattern not.
+    """
+
+    def __init__(self, A: PETSc.Mat) -> None:
+        (_, self._part), names = _sequential(A)
+        rows, columns = ctypes.c_int32(), ctypes.c_int32()
+        _call("MatGetLocalSize", self._part, *map(ctypes.byref, (rows, columns)))
+        self._ghosts, self._product = PETSc.Vec(), PETSc.Vec()
+        self._ghosts.createSeq(columns.value)
+        self._product.createSeq(rows.value)
+        wanted = PETSc.IS().createGeneral(_array(names, columns.value), comm=PETSc.COMM_SELF)
+        x = A.createVecRight()
+        self._scatter = PETSc.Scatter().create(x, wanted, self._ghosts, None)
+        for item in (wanted, x):
+            item.destroy()
+
+    def __call__(self, x: PETSc.Vec) -> NDArray[np.float64]:
+        """Its product with a vector of all ranks; valid until the next one. Collective."""
+        self._scatter.scatter(x, self._ghosts)
+        handles = (ctypes.c_void_p(v.handle) for v in (self._ghosts, self._product))
+        _call("MatMult", self._part, *handles)
+        return self._product.array_r
+
+    def destroy(self) -> None:
+        """Free PETSc's objects."""
+        for item in (self._ghosts, self._product, self._scatter):
+            item.destroy()
+
+
 def values(A: PETSc.Mat) -> list[NDArray[np.float64]]:
     """PETSc's arrays of an assembled AIJ matrix, for writing before ``A.assemble()``; local."""
-    arrays = []
-    for part in _sequential(A)[0]:
-        address, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * _NUMBERS)()
-        _call("MatSeqAIJGetArray", part, ctypes.byref(address))
-        _call("MatGetInfo", part, _LOCAL, info)
-        arrays.append(_array(address, int(info[2])))
-        # Returned before it is written to: A.assemble() always follows.
-        _call("MatSeqAIJRestoreArray", part, ctypes.byref(address))
-    return arrays
+    return [_stored(part) for part in _sequential(A)[0]]
 
 
 def said(error: PETSc.Error) -> str:
@@ -97,6 +122,26 @@ def _sequential(A: PETSc.Mat) -> tuple[list[ctypes.c_void_p], Any]:
     two = [ctypes.c_void_p(), ctypes.c_void_p()]
     _call("MatMPIAIJGetSeqAIJ", whole, *map(ctypes.byref, (*two, names)))
     return two, names
+
+
+def _part(matrix: ctypes.c_void_p, stored: NDArray[np.float64]) -> Part:
+    """Values of a sequential matrix with its pattern."""
+    count, done = ctypes.c_int32(), ctypes.c_int32()
+    rows, columns = (ctypes.POINTER(ctypes.c_int32)() for _ in range(2))
+    plain = (ctypes.c_int32(0),) * 3  # numbers from 0, the pattern as it is, not of blocks
+    _call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
+    return Part(_array(rows, count.value + 1), _array(columns, len(stored)), stored)
+
+
+def _stored(matrix: ctypes.c_void_p, way: str = "") -> NDArray[np.float64]:
+    """PETSc's array of a sequential matrix."""
+    address, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * _NUMBERS)()
+    _call(f"MatSeqAIJGetArray{way}", matrix, ctypes.byref(address))
+    _call("MatGetInfo", matrix, _LOCAL, info)
+    found = _array(address, int(info[2]))
+    # Returned before it is written to: A.assemble() always follows.
+    _call(f"MatSeqAIJRestoreArray{way}", matrix, ctypes.byref(address))
+    return found
 
 
 def _array(address: Any, size: int) -> NDArray:

@@ -185,6 +185,21 @@ for potential, unknown, field in (
 assert forms.solve(plain * ufl.dx, u, [forms.clamp(u, left)]).completed
 
 
+# Sweeps of a smoother: from zero with what is left, and again.
+from variform.forms.solving.linear.sweeps import Sweeps
+solid = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2))
+v = forms.displacement(solid)
+K = forms.Problem(energies.neo_hookean(forms.deformation_gradient(v), 1.0, 2.0) * ufl.dx, v)
+A = K.create_matrix()
+K.tangent(A)
+x, b, r = A.createVecs()[0], *A.createVecs()
+b.set(1.0)
+sweeps = Sweeps(A)
+sweeps(b, x, r)
+sweeps(b, x)
+assert sweeps.possible and np.isfinite(x.norm()) and np.isfinite(r.norm())
+
+
 # Bounds of J: blocks of cells that are full and that are not, parts, curved cells, axis, sheets.
 from variform.forms.validity import VolumeBounds
 CELL = mesh.CellType
@@ -222,7 +237,7 @@ print("finished")
 def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch):
     """The compiler's sanitizers of addresses and of undefined behavior find nothing in the C.
 
-    In point and cell kernels, projection, insertion with supports and facets, and bounds of J.
+    In point and cell kernels, projection, insertion with supports and facets, sweeps, bounds of J.
     """
     libraries = []
     for name in "libasan.so", "libubsan.so", "libstdc++.so.6":

@@ -199,7 +199,7 @@ def test_multigrid_needs_no_more_iterations(degree, cells, n):
         newton.tangent.scaled.residual(b)
         ksp.setOperators(newton.tangent.product, newton.tangent.A)
         assert newton.tangent.solve(b, b.duplicate())
-        assert ksp.getPC().getType() in ("gamg", "mg")
+        assert ksp.getPC().getType() == ("python" if degree == 1 else "mg")
         counts.append(ksp.getIterationNumber())
         newton.destroy()
     assert counts[1] <= 1.1 * counts[0]

@@ -145,7 +145,8 @@ def _pieces(system, u):
         about |= {f"{name}, messages": messages, f"{name} [B]": size}
         about |= {f"{name}, reductions": reductions}
     seconds["solve"] = timed(lambda: ksp.solve(b, x))
-    levels = pc if pc.getType() == "gamg" else pc.getMGCoarseSolve().getPC()
+    cycle = pc if pc.getType() == "python" else pc.getMGCoarseSolve().getPC()
+    levels = cycle.getPythonContext().levels
     about |= {"iterations": ksp.getIterationNumber(), "levels": levels.getMGLevels()}
     about["coarsest"] = levels.getMGCoarseSolve().getOperators()[0].getSize()[0]
     newton.destroy()

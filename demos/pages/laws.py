@@ -83,6 +83,8 @@ LAWS = {
     "checkpoint_ranks": "checkpoints are of no partition; a path goes on, on other ranks; errors "
     "reach all",
     "kills": "kills at any moment leave a whole checkpoint",
+    "sweeps": "multigrid's smoother is symmetric Gauss-Seidel, in single precision, in any units, "
+    "over each rank's nodes; its cycle takes as many iterations as PETSc's",
     "multigrid": "multigrid over the order and the field split find MUMPS's solution, at "
     "iterations that hardly grow",
     "options": "PETSc's options hold wherever they are set, and stay the user's; linear solvers "

@@ -79,7 +79,14 @@ void validity_scan(const validity_t *v, const double *x, double *room, double *l
                    double *most, double *where);
 long validity_refine(const validity_t *v, const double *x, double best, double *room,
                      double *parts, double *low, double *high, double *most, double *where);
-extern const long declared[14];
+typedef struct {
+  int nodes; int32_t *starts; int32_t *columns; float *blocks; float *inverse; double scale;
+} sweeps_t;
+long sweeps_count(int nodes, const int32_t *rows, const int32_t *columns);
+void sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values);
+void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, double *r,
+                  float *room);
+extern const long declared[15];
 """
 _ELEMENT = """
 extern const long moduli_sizes[3];
@@ -107,6 +114,7 @@ _STRUCTURES = (
     "part_t",
     "geometry_t",
     "validity_t",
+    "sweeps_t",
 )
 MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS = 8, 16, 64
 TOGETHER, MAX_PARTS, MAX_LINE = 8, 256, 16  # cells at a time, parts of a cell, numbers in a line

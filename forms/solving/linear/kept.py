@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from ...problems import Problem
+from .cycle import cycled
 from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
@@ -64,6 +65,8 @@ class Kept:
         if kind == "mg":
             V = problem.u.function_space
             self._levels = OrderMultigrid(V, problem, ksp, prefix)
+        elif kind == "gamg":
+            cycled(ksp, user)
         elif kind == "python":
             self._blocks = FieldSplit(problem, ksp, prefix)
         self._ksp, self.stale, self.due = ksp, False, True

@@ -14,6 +14,7 @@ from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 
 from ...problems import Problem
+from .cycle import cycled
 from .patch import Patch, may_touch
 from .presets import aggregation
 from .rigid import rigid_modes
@@ -88,6 +89,8 @@ class OrderMultigrid:
             smoother.getPC().setPythonContext(Patch(problem))
         below = {"ksp_type": "preonly", **aggregation()}
         _set(self._pc.getMGCoarseSolve(), f"{prefix}coarse_", below)
+        if self._pc.getMGCoarseSolve().getPC().getType() == "gamg":
+            cycled(self._pc.getMGCoarseSolve(), PETSc.Options(f"{prefix}coarse_").getAll())
 
     def update(self, A: PETSc.Mat) -> None:
         """Take the coarse operator of a tangent. Collective."""
