@@ -5,10 +5,11 @@ import csv
 import json
 
 import dolfinx
+import ffcx.codegeneration.lnodes as tree
 import numpy as np
 import pytest
 
-from demos.benchmarks import cluster, hard_cases, hard_scenes
+from demos.benchmarks import cluster, hard_cases, hard_scenes, rates
 from demos.benchmarks.peers import pressed
 from demos.benchmarks.peers.points import right_values, states
 from demos.benchmarks.peers.problem import block, quadratic, turned
@@ -34,6 +35,26 @@ def test_benchmark_of_moduli_runs(run, tmp_path):
     paths = [row for row in rows if "path" in row]
     assert all(row["same"] and row["deviation"] < 1e-9 for row in paths)
     assert (tmp_path / "results" / "moduli.csv").stat().st_size > 1000
+
+
+def test_benchmark_of_rates_runs(run, tmp_path):
+    """A row: a product reads the matrix once, a residual does more than the energy."""
+    command = ("-m", "demos.benchmarks.rates", "--row", "P1", "neo-Hookean", "2")
+    row = json.loads(run(*command, cwd=tmp_path).stdout.splitlines()[-1])
+    stored = row["product: operations"] / 2  # a product and a sum for each number stored
+    assert row["product: bytes"] == pytest.approx(12 * stored + 20)
+    assert 0 < row["energy: operations"] < row["residual: operations"]
+    assert min(row[name] for name in rates.PIECES) > 0 and row["Newton"] > 2
+
+
+def test_operations_of_a_loop_are_counted():
+    """sum_i a_i b_i + c of three turns: a product, a sum and what is added to, each time."""
+    i, a, b, c, s = (tree.Symbol(name, dtype=tree.DataType.REAL) for name in "iabcs")
+    added = tree.Add(tree.Mul(a, b), c)
+    loop = tree.ForRange(i, 0, 3, body=[tree.AssignAdd(s, added)])
+    assert rates.count(loop) == 3 * 3
+    assert rates.count(tree.VariableDecl(s, tree.Sum([a, b, c]))) == 2
+    assert rates.count(tree.Assign(s, tree.MathFunction("ln", [tree.Mul(a, b)]))) == 2
 
 
 def test_benchmark_of_hard_cases_runs(run, tmp_path):

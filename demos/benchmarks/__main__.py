@@ -12,6 +12,7 @@ import time
 NAMES = (
     "operators",
     "moduli",
+    "rates",
     "misprints",
     "hard_cases",
     "fidelity",
