@@ -35,6 +35,17 @@ def strip(degree=2):
     return body, u
 
 
+def chain():
+    """A row of tetrahedra with an uneven number of cells, bent."""
+    corners = np.arange(CELLS + 3)
+    points = np.stack([np.cos(2 * corners), np.sin(2 * corners), 0.4 * corners], axis=1)
+    cells = np.array([[k, k + 1, k + 2, k + 3] for k in range(CELLS)])
+    body = meshes.from_arrays(MPI.COMM_SELF, points, cells)
+    u = forms.displacement(body, 1)
+    u.interpolate(lambda x: np.stack([0.05 * x[2] ** 2, 0.02 * x[2] * x[0], 0.1 * x[1]]))
+    return body, u
+
+
 def branches(F, u, body):
     """Every relation, with numbers, Constants and functions on both sides."""
     C, J = F.T * F, ufl.det(F)
@@ -101,6 +112,35 @@ def difference(K, u):
     if moduli.rest is not None:
         product += fem.assemble_matrix(moduli.rest).to_dense() @ x
     return np.abs(product - A @ x).max() / np.abs(A @ x).max()
+
+
+@pytest.mark.parametrize("dim, width", [(2, 4), (3, 2), (3, 8)])
+def test_operators_of_several_cells_are_looked_at_side_by_side(dim, width, monkeypatch):
+    """K x by linear simplices, one operand each: inverted and flat cells, cells at rest, 1e-14.
+
+    A cell beyond the energy's domain makes infinite what its own nodes have, and nothing else.
+    """
+    usual = jit.flags(MPI.COMM_SELF)
+    monkeypatch.setattr(jit, "flags", lambda comm: [*usual, f"-DWIDTH={width}"])
+    _, u = strip(1) if dim == 2 else chain()
+    nodes = u.x.array.reshape(-1, dim)
+    nodes[3] -= 2.5 * np.arange(1, dim + 1)  # turns its cells inside out
+    F = forms.deformation_gradient(u)
+    K = forms.tangent(forms.residual(energies.fixed_corotated(F, 1.0, 2.0) * ufl.dx, u), u)
+    assert difference(K, u) < 1e-14
+    u.x.array[:] = 0
+    assert difference(K, u) < 1e-14
+    cells = u.function_space.dofmap.list
+    last = cells[(cells == cells.max()).any(axis=1)][0]
+    corner = next(n for n in last if (cells == n).sum() == 1)  # of no other cell
+    places = u.function_space.tabulate_dof_coordinates()[:, :dim]
+    nodes[corner] = 2 * (places[last[last != corner]].mean(axis=0) - places[corner])
+    moduli = Moduli(forms.tangent(forms.residual(energies.hencky(F, 1.0, 2.0) * ufl.dx, u), u))
+    moduli.fill()
+    x, product = np.ones_like(u.x.array), np.zeros_like(u.x.array)
+    moduli.multiply(x, product)
+    lost = ~np.isfinite(product.reshape(-1, dim)).all(axis=1)
+    assert set(np.flatnonzero(lost)) == set(last)
 
 
 @pytest.mark.parametrize("width", [2, 4, 8])

@@ -189,7 +189,8 @@ assert forms.solve(plain * ufl.dx, u, [forms.clamp(u, left)]).completed
 from variform.forms.solving.linear.sweeps import Sweeps
 solid = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=(2, 2, 2))
 v = forms.displacement(solid)
-K = forms.Problem(energies.neo_hookean(forms.deformation_gradient(v), 1.0, 2.0) * ufl.dx, v)
+K = forms.Problem(energies.fixed_corotated(forms.deformation_gradient(v), 1.0, 2.0) * ufl.dx, v)
+K.forms.use_moduli()  # of linear simplices: energies in singular values of several cells at a time
 A = K.create_matrix()
 K.tangent(A)
 x, b, r = A.createVecs()[0], *A.createVecs()

@@ -55,6 +55,8 @@ void points(const operator_t *op, long n, const double *X, int project, double *
             double *A);
 void singular_values(int rows, int cols, int plane, int improper, long n, const double *F,
                      double *U, double *s, double *V);
+void kernel_together(tabulate_t kernel, int cells, double *const *A, const double *const *w,
+                     const double *c, const double *const *x);
 void projection_set(void *factorize, void *eigen);
 extern const tabulate_t kernels[64];
 void insertion_rows(int owned, int size, const int64_t *starts, const int64_t *blocks,
@@ -89,6 +91,8 @@ void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, 
 extern const long declared[15];
 """
 _ELEMENT = """
+extern void (*moduli_together)(tabulate_t, int, double *const *, const double *const *,
+                               const double *, const double *const *);
 extern const long moduli_sizes[3];
 extern const long moduli_shape[2];
 void moduli_fill(const part_t *p, const geometry_t *g, const double *constants, double *B);
@@ -150,7 +154,11 @@ def element_library(comm: MPI.Comm, text: str) -> tuple[Any, Any]:
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
     """
-    return _made(comm, text, lambda: text, _ELEMENT, "moduli")
+    lib, ffi = _made(comm, text, lambda: text, _ELEMENT, "moduli")
+    ours, our_ffi = library(comm)
+    together = our_ffi.cast("uintptr_t", our_ffi.addressof(ours, "kernel_together"))
+    lib.moduli_together = ffi.cast(ffi.typeof(lib.moduli_together), int(together))
+    return lib, ffi
 
 
 def cells_library(comm: MPI.Comm, name: str, text: Callable[[], str]) -> tuple[Any, Any]:

@@ -36,7 +36,8 @@ class Settings:
         split_from: Unknowns from which displacement-pressure problems get the field split, by the
             kind of cell.
         slower: Iterations beyond the pace of the first solve, in sum, after which a preconditioner
-            is built anew: that costs as much as 25 to 50 of them.
+            is built anew: that costs as much as 25 to 50 of them; twice as many of aggregation
+            alone (elements of degree 1), whose set-up costs 50 to 60.
         slow: Iterations for a digit above which a factorization is faster, as in a body that is
             nearly incompressible and has no pressure of its own.
         factorized_up_to: Unknowns up to which one is then turned to; and where surfaces in contact

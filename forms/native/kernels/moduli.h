@@ -17,6 +17,10 @@
 enum { ROWS = SIZE * DIM, HALF = ROWS * (ROWS + 1) / 2, NUMBERS = SETS * HALF, NEXT = SETS > 1 ? HALF : 0 };
 enum { TOTAL = SIZE * NODES, BLOCKS = NODES * (NODES + 1) / 2 };
 
+/* kernel_together() of cell.h, in another library: set by Python. */
+void (*moduli_together)(tabulate_t, int, double *const *, const double *const *, const double *,
+                        const double *const *) = 0;
+
 /* What Python has to know of this file. */
 const long moduli_sizes[] = {sizeof(target_t), sizeof(part_t), sizeof(geometry_t)};
 const long moduli_shape[] = {WIDTH, NUMBERS};
@@ -36,15 +40,16 @@ static void fill_lanes(const part_t *p, long first, const geometry_t *g, const d
     ((lanes_kernel_t)(void (*)(void))p->kernel)(B, w, constants, x);
     return;
   }
-  double out[WIDTH][NUMBERS], x[3 * CORNERS];
-  const int entity = 0;
-  const uint8_t perm[2] = {0, 0};
+  double out[WIDTH][NUMBERS], x[WIDTH][3 * CORNERS], *to[WIDTH];
+  const double *w[WIDTH], *places[WIDTH];
+  int cells = 0;
   memset(out, 0, sizeof out);
-  for (int k = 0; k < WIDTH && first + k < p->count; k++) {
-    const int32_t *nodes = g->numbers + (long)CORNERS * p->entities[first + k];
-    for (int i = 0; i < CORNERS; i++) memcpy(x + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
-    p->kernel(out[k], p->coefficients + (first + k) * p->width, constants, x, &entity, perm VARIFORM_CUSTOM);
+  for (; cells < WIDTH && first + cells < p->count; cells++) {
+    const int32_t *nodes = g->numbers + (long)CORNERS * p->entities[first + cells];
+    for (int i = 0; i < CORNERS; i++) memcpy(x[cells] + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
+    to[cells] = out[cells], places[cells] = x[cells], w[cells] = p->coefficients + (first + cells) * p->width;
   }
+  moduli_together(p->kernel, cells, to, w, constants, places);
   for (int m = 0; m < NUMBERS; m++)
     for (int k = 0; k < WIDTH; k++) B[m][k] = out[k][m];
 }

@@ -17,6 +17,7 @@ from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
 TWO_PRODUCTS_UP_TO, AT_ONCE_FROM = 20_000, 100_000  # unknowns
+CYCLES = 2.0  # by aggregation alone, that cost as much as one over the order
 PROBED = 1e-3  # relative tolerance of a solve that looks for negative curvature
 
 
@@ -59,6 +60,7 @@ class Kept:
         self.exact = np.inf
         self._probing = False
         self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
+        self._settings, self._worth = settings, settings.slower
         self._levels: OrderMultigrid | None = None
         self._blocks: FieldSplit | None = None
         kind = preset.get("pc_type") if self.used else None
@@ -67,12 +69,12 @@ class Kept:
             self._levels = OrderMultigrid(V, problem, ksp, prefix)
         elif kind == "gamg":
             cycled(ksp, user)
+            self._worth = CYCLES * settings.slower
         elif kind == "python":
             self._blocks = FieldSplit(problem, ksp, prefix)
         self._ksp, self.stale, self.due = ksp, False, True
         self._first = self._extra = 0.0
         self._problem = problem
-        self._settings = settings
         self.slow, self._small = False, problem.size <= settings.factorized_up_to
         self._own = "ksp_rtol" not in user, "ksp_max_it" not in user
         self._rtol, *_, self._most = ksp.getTolerances()
@@ -142,7 +144,7 @@ class Kept:
         each = iterations / digits
         self._first = self._first or each
         self._extra += max(0.0, iterations - self._first * digits)
-        if self._extra > self._settings.slower:
+        if self._extra > self._worth:
             self.renew()
         exhausted = self._ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
         self.slow = self._small and not self.stale and (each > self._settings.slow or exhausted)
