@@ -187,7 +187,7 @@ class Sensitivity:
 
     def gradient(self, rtol: float | None = None) -> list[Any]:
         """Derivative of one number by each parameter at the present state. Collective."""
-        with Linearized(self.problem, rtol) as linear:
+        with Linearized(self.problem, rtol, near=True) as linear:
             linear.check_equilibrium("gradient")
             return self.adjoint(linear, [np.ones(1)])
 
@@ -203,9 +203,11 @@ class Sensitivity:
         explicit = sum(j.by_state(problem, f) for j, f in zip(self.measured, c, strict=True))
         weighed = self._weigh(c)
         w = self._a.x.array.copy()
-        _fill(b, explicit + self._transposed() if weighed else explicit)
+        by_w = self._transposed() if weighed else np.zeros_like(explicit)
+        _fill(b, explicit + by_w)
         y = b.duplicate()
-        linear.solve(b, y, transposed=True)
+        energy = None if self.border is not None else self._energy(explicit, by_w, w)
+        linear.solve(b, y, transposed=True, energy=energy)
         lam, nu = np.array(y.array_r), 0.0
         if self.border is not None:
             lam, nu = self.border.eliminated(linear, lam, w, c, (b, y), self._set)
@@ -220,6 +222,20 @@ class Sensitivity:
             held[:] = problem.held_part(found)
         pairs = zip(self.parameters, self.slopes, strict=True)
         return [self._by(m, slopes, held, c, nu) for m, slopes in pairs]
+
+    def _energy(self, explicit: Array, by_w: Array, w: Array) -> Callable[..., float]:
+        """Energy a . K a of a = w - lambda, as a function of lambda and its residual r; K = K^T.
+
+        w . K w - 2 lambda . K w + lambda . K lambda,  K w = b - J_u,  K lambda = b - r
+        """
+        comm, total = self.problem.comm, explicit + by_w
+        own = comm.allreduce(float(w[: len(by_w)] @ by_w))
+
+        def energy(lam: PETSc.Vec, r: PETSc.Vec) -> float:
+            parts = 2 * explicit - total - r.array_r
+            return float(own + comm.allreduce(float(lam.array_r @ parts)))
+
+        return energy
 
     def _set(self, values: Array) -> None:
         """Put owned values into the function of adjoints, ghosts brought up to date."""
