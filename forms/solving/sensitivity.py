@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -183,7 +184,7 @@ class Sensitivity:
         if self.border is not None and any(m is self.border.q for m in parameters):
             raise ValueError("the scalar that control has found is no parameter: leave it out.")
         self.slopes = [Slopes(self, m) for m in parameters]
-        self._b = problem.create_vector()
+        self._b, self._linear = problem.create_vector(), problem.create_vector()
 
     def gradient(self, rtol: float | None = None) -> list[Any]:
         """Derivative of one number by each parameter at the present state. Collective."""
@@ -203,7 +204,7 @@ class Sensitivity:
         explicit = sum(j.by_state(problem, f) for j, f in zip(self.measured, c, strict=True))
         weighed = self._weigh(c)
         w = self._a.x.array.copy()
-        by_w = self._transposed() if weighed else np.zeros_like(explicit)
+        by_w = self._transposed(w) if weighed else np.zeros_like(explicit)
         _fill(b, explicit + by_w)
         y = b.duplicate()
         energy = None if self.border is not None else self._energy(explicit, by_w, w)
@@ -228,14 +229,10 @@ class Sensitivity:
 
         w . K w - 2 lambda . K w + lambda . K lambda,  K w = b - J_u,  K lambda = b - r
         """
-        comm, total = self.problem.comm, explicit + by_w
-        own = comm.allreduce(float(w[: len(by_w)] @ by_w))
-
-        def energy(lam: PETSc.Vec, r: PETSc.Vec) -> float:
-            parts = 2 * explicit - total - r.array_r
-            return float(own + comm.allreduce(float(lam.array_r @ parts)))
-
-        return energy
+        linear = self._linear
+        _fill(linear, explicit - by_w)
+        own = self.problem.comm.allreduce(float(w[: len(by_w)] @ by_w))
+        return lambda lam, r: own + lam.dot(linear) - lam.dot(r)
 
     def _set(self, values: Array) -> None:
         """Put owned values into the function of adjoints, ghosts brought up to date."""
@@ -252,18 +249,39 @@ class Sensitivity:
         self._set(sum(found) if found else np.zeros_like(self._a.x.array))
         return bool(found)
 
-    def _transposed(self) -> Array:
-        """K^T a, the tangent without boundary conditions; owned. Collective."""
-        b = self._b
-        if len(self.problem.terms) > 1:
-            return by_matrix(self.problem, self._a, b, transposed=True)
-        if not isinstance(self._Ka, fem.Form):
-            self._Ka = compiled(self._Ka)
+    def _transposed(self, w: Array | None = None) -> Array:
+        """K^T a, the tangent without boundary conditions; owned. Collective.
+
+        Args:
+            w: Values of a with ghosts, of weights: where these are 0 but at supports, as those of
+                reactions are, the cells there are enough.
+        """
+        problem, b = self.problem, self._b
+        if len(problem.terms) > 1:
+            return by_matrix(problem, self._a, b, transposed=True)
         with b.localForm() as local:
             local.set(0)
-        fem_petsc.assemble_vector(b, self._Ka)
+        if w is not None and self._is_at_supports(w):
+            x = problem.create_vector()
+            with x.localForm() as local:
+                for condition in problem.conditions:
+                    condition.set(local.array)
+                local.array[:] -= w
+            problem.forms.lift(b, x)
+            x.destroy()
+        else:
+            if not isinstance(self._Ka, fem.Form):
+                self._Ka = compiled(self._Ka)
+            fem_petsc.assemble_vector(b, self._Ka)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.array(b.array_r)
+
+    def _is_at_supports(self, w: Array) -> bool:
+        """Whether K^T w is K w by the cells at supports alone. Collective."""
+        free = w[: self._b.getLocalSize()].copy()
+        free[self.problem.constrained] = 0
+        found = self.problem.comm.allreduce(bool(free.any()), MPI.LOR)
+        return self.problem.symmetric and self.problem.slants is None and not found
 
     def _by(self, m: Any, slopes: Slopes, held: Array, c: list[Array], nu: float) -> Any:
         if isinstance(m, Support):
