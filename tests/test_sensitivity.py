@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from every_kind import EVERY
 from test_problems import Well
 
 from variform import forms, meshes
@@ -39,7 +40,18 @@ def remainders(scene, J, m, along, gradient):
 @pytest.mark.parametrize("name", scenes.SCENES)
 def test_gradients_are_the_derivatives(name):
     """J(m + h dm) = J(m) + h dJ/dm dm + O(h^2): halving h divides the remainder by 4."""
-    scene = scenes.SCENES[name](MPI.COMM_SELF)
+    check_rates(scenes.SCENES[name](MPI.COMM_SELF))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", EVERY)
+def test_every_kind_of_parameter_in_every_body(kind):
+    """The same of all kinds of parameters at once, in solids, plane, thin and bound by a volume."""
+    check_rates(EVERY[kind](MPI.COMM_SELF))
+
+
+def check_rates(scene):
+    """Taylor's remainder of all that a scene measures by all its parameters, one after another."""
     names, given = zip(*scene.parameters.items(), strict=True)
     for J in scene.measured.values():
         found = forms.gradient(scene.solve(), J, [m for m, _ in given])
@@ -57,11 +69,12 @@ SCRIPT = """
 import json
 from mpi4py import MPI
 import inverse_scenes as scenes
+from every_kind import EVERY
 from variform import forms
 
 comm, found = MPI.COMM_WORLD, {}
 for name in NAMES:
-    scene = scenes.SCENES[name](comm)
+    scene = {**scenes.SCENES, **{f"every kind, {k}": EVERY[k] for k in EVERY}}[name](comm)
     names, given = zip(*scene.parameters.items(), strict=True)
     for what, J in scene.measured.items():
         path = scene.solve()
@@ -74,13 +87,17 @@ if comm.rank == 0:
 """
 
 
-FEW = ["text"]
+FEW, EACH = ["text"], [f"every kind, {kind}" for kind in EVERY]
 
 
 @pytest.mark.parametrize(
     ("names", "ranks"),
-    [(FEW, (2,)), pytest.param([*scenes.SCENES], (2, 3), marks=pytest.mark.slow)],
-    ids=["few", "all"],
+    [
+        (FEW, (2,)),
+        pytest.param([*scenes.SCENES], (2, 3), marks=pytest.mark.slow),
+        pytest.param(EACH, (2, 3), marks=pytest.mark.slow),
+    ],
+    ids=["few", "all", "every kind"],
 )
 def test_ranks_agree(parallel, names, ranks):
     """Gradients are the same on 1, 2 and 3 ranks, to 1e-10."""

@@ -37,7 +37,7 @@ class Linearized:
         problem: At a converged state.
         rtol: Tolerance of |b - K x| relative to |b|; by default 1e-10 with a factorization, and
             with multigrid 1e-6.
-        near: Whether with multigrid an error of 1e-5 in energy is small enough, where the solve is
+        near: Whether with multigrid an error of 3e-5 in energy is small enough, where the solve is
             told of the energy that counts.
     """
 

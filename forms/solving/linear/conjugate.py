@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from petsc4py import PETSc
 
-PAST = 3  # steps whose decrease tells of those to come
+PAST = 3  # decreases that tell of those to come
 SLOWEST = 0.95  # contraction of the squared error that is reckoned with at most
 
 
@@ -68,10 +68,8 @@ def conjugate_gradients(
 
 def _to_come(decreases: list[float]) -> float:
     """Sum of the decreases to come, of the last ones; infinite where too few are known."""
-    past = min(PAST, len(decreases) - 1)
-    if past < 1:
+    if len(decreases) < PAST:
         return float("inf")
-    last = decreases[-1]
-    ratio = max(last / decreases[-2], (last / decreases[-1 - past]) ** (1 / past))
-    ratio = min(ratio, SLOWEST)
+    last, middle, first = decreases[-1], decreases[-2], decreases[-PAST]
+    ratio = min(max(last / middle, (last / first) ** (1 / (PAST - 1))), SLOWEST)
     return last * ratio / (1 - ratio)
