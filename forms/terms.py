@@ -174,9 +174,12 @@ class FormTerm:
         with b.localForm() as local:
             self._sums[1].add(local.array)
 
-    def lift(self, b: PETSc.Vec) -> None:
-        """Add K (prescribed - u): the change of the residual by a linear move to the supports."""
-        x = self._u.x.petsc_vec
+    def lift(self, b: PETSc.Vec, x: PETSc.Vec | None = None) -> None:
+        """Add K (prescribed - x), x = u if not given, of entries at supports, by their cells alone.
+
+        With u the change of the residual by a linear move to the supports.
+        """
+        x = self._u.x.petsc_vec if x is None else x
         fem_petsc.apply_lifting(b, [self.tangent_form], bcs=[self._conditions], x0=[x], alpha=-1.0)
 
     def add_action(self, b: PETSc.Vec, values: NDArray) -> None:

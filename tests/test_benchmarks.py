@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from demos.benchmarks import cluster, hard_cases, hard_scenes, rates
-from demos.benchmarks.peers import pressed
+from demos.benchmarks.peers import pressed, stretched
 from demos.benchmarks.peers.points import right_values, states
 from demos.benchmarks.peers.problem import block, quadratic, turned
 from demos.benchmarks.peers.ways import closed_form
@@ -236,6 +236,27 @@ def test_benchmark_of_a_pressed_cube_runs(run, tmp_path):
     corners = points[cells]
     assert len(points) == 27 and np.allclose(corners.mean(axis=1).mean(axis=0), 0.5)
     assert np.all(np.linalg.det(corners[:, [1, 3, 4]] - corners[:, :1]) > 0)
+
+
+# Reaction of 4 x 8 x 8 cells and its derivatives by mu and lmbda, as torch-fem 0.14.0 has found
+# them with its default tolerances, by demos/benchmarks/peers/torchfem_stretched.py --n 8.
+TORCH_FEM = [3839.480813565053, 9.974081421174786, 0.005712462741608908]
+
+
+def test_benchmark_of_a_stretched_box_runs(run, tmp_path):
+    """Force and derivatives are those of uniaxial tension, and torch-fem's, on any mesh."""
+    run("-m", "demos.benchmarks.peers.stretched", "--small", cwd=tmp_path)
+    (row,) = json.loads((tmp_path / "results" / "peers" / "stretched.json").read_text())
+    assert np.abs(row["errors"]).max() < 1e-7
+    assert stretched.response() == pytest.approx(TORCH_FEM, rel=1e-9)
+    assert row["found"] == pytest.approx(TORCH_FEM, rel=1e-7)
+    h, at = 1e-3, (stretched.MU, stretched.LMBDA)
+    for k in range(2):
+        ends = [
+            stretched.response(*(m + s * h * (k == i) for i, m in enumerate(at)))[0]
+            for s in (1, -1)
+        ]
+        assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(TORCH_FEM[1 + k], rel=1e-6)
 
 
 def test_peers_blocks_are_the_same_body():

@@ -2,18 +2,21 @@
 """Gradients of what is measured on a solution: Taylor's remainder, closed forms, ranks."""
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import inverse_scenes as scenes
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from every_kind import EVERY
 from test_problems import Well
 
 from variform import forms, meshes
 from variform.forms.measured import measured
+from variform.forms.solving.linear.conjugate import conjugate_gradients
 from variform.forms.solving.linear.kept import Kept
-from variform.forms.solving.linearized import Linearized
+from variform.forms.solving.linearized import NEAR, Linearized
 from variform.forms.solving.rates import Rates
 from variform.forms.solving.settings import Settings
 
@@ -37,7 +40,18 @@ def remainders(scene, J, m, along, gradient):
 @pytest.mark.parametrize("name", scenes.SCENES)
 def test_gradients_are_the_derivatives(name):
     """J(m + h dm) = J(m) + h dJ/dm dm + O(h^2): halving h divides the remainder by 4."""
-    scene = scenes.SCENES[name](MPI.COMM_SELF)
+    check_rates(scenes.SCENES[name](MPI.COMM_SELF))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", EVERY)
+def test_every_kind_of_parameter_in_every_body(kind):
+    """The same of all kinds of parameters at once, in solids, plane, thin and bound by a volume."""
+    check_rates(EVERY[kind](MPI.COMM_SELF))
+
+
+def check_rates(scene):
+    """Taylor's remainder of all that a scene measures by all its parameters, one after another."""
     names, given = zip(*scene.parameters.items(), strict=True)
     for J in scene.measured.values():
         found = forms.gradient(scene.solve(), J, [m for m, _ in given])
@@ -55,11 +69,12 @@ SCRIPT = """
 import json
 from mpi4py import MPI
 import inverse_scenes as scenes
+from every_kind import EVERY
 from variform import forms
 
 comm, found = MPI.COMM_WORLD, {}
 for name in NAMES:
-    scene = scenes.SCENES[name](comm)
+    scene = {**scenes.SCENES, **{f"every kind, {k}": EVERY[k] for k in EVERY}}[name](comm)
     names, given = zip(*scene.parameters.items(), strict=True)
     for what, J in scene.measured.items():
         path = scene.solve()
@@ -72,13 +87,17 @@ if comm.rank == 0:
 """
 
 
-FEW = ["text"]
+FEW, EACH = ["text"], [f"every kind, {kind}" for kind in EVERY]
 
 
 @pytest.mark.parametrize(
     ("names", "ranks"),
-    [(FEW, (2,)), pytest.param([*scenes.SCENES], (2, 3), marks=pytest.mark.slow)],
-    ids=["few", "all"],
+    [
+        (FEW, (2,)),
+        pytest.param([*scenes.SCENES], (2, 3), marks=pytest.mark.slow),
+        pytest.param(EACH, (2, 3), marks=pytest.mark.slow),
+    ],
+    ids=["few", "all", "every kind"],
 )
 def test_ranks_agree(parallel, names, ranks):
     """Gradients are the same on 1, 2 and 3 ranks, to 1e-10."""
@@ -141,7 +160,10 @@ def test_a_gradient_leaves_the_problem_as_it_was():
 
 
 def test_multigrid_and_factors_agree():
-    """By multigrid kept from an earlier state the gradient is that by MUMPS, to the tolerance."""
+    """By multigrid kept from an earlier state the gradient is that by MUMPS, to the tolerance.
+
+    The same by one that is due to be renewed, which is left to the next solve.
+    """
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0, 1.0), n=4)
     found = {}
     for degree in (1, 2):
@@ -150,14 +172,48 @@ def test_multigrid_and_factors_agree():
         psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, 2.0)
         pull = forms.translate(u, body.facets("right"), (0.3, 0.1, 0.0))
         problem = forms.Problem(psi * ufl.dx, u, [forms.clamp(u, body.facets("left")), pull])
-        force = forms.Reaction(body.facets("right"))
-        for most in (10, 10**6):
-            path = forms.solve(problem, settings=Settings(direct_up_to=most), **scenes.TIGHT)
-            kept = problem.solver[1].tangent.kept
-            assert kept.used == (most == 10)
-            found[most] = forms.gradient(path, force, mu).x.array.copy()
-        off = np.linalg.norm(found[10] - found[10**6]) / np.linalg.norm(found[10])
-        assert 0 < off < 1e-5
+        force = forms.Reaction(body.facets("right"), (1.0, 0.4, 0.0))
+        for J in (force, ufl.inner(u, u) * ufl.dx, u[1] * body.ds("top") + mu * u[0] * ufl.dx):
+            for most in (10, 10**6):
+                path = forms.solve(problem, settings=Settings(direct_up_to=most), **scenes.TIGHT)
+                kept = problem.solver[1].tangent.kept
+                assert kept.used == (most == 10)
+                kept.due = kept.used
+                parts = forms.gradient(path, J, [mu, pull])
+                found[most] = [part.x.array.copy() for part in parts]
+                assert kept.due == kept.used
+            for near, exact in zip(found[10], found[10**6], strict=True):
+                assert 0 < np.linalg.norm(near - exact) < NEAR * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("asked", [1e-1, 1e-3, 1e-5])
+def test_conjugate_gradients_end_at_an_error_in_energy(asked):
+    """The error that is estimated lies below the one asked for, and no more than 30 times."""
+    n = 12
+    one = np.diag(np.full(n, 2.0)) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
+    eye, rng = np.eye(n), np.random.default_rng(0)
+    K = np.kron(np.kron(one, eye), eye) + np.kron(np.kron(eye, one), eye)
+    K += np.kron(np.kron(eye, eye), one) + np.diag(rng.random(n**3))
+    A = PETSc.Mat().createDense(K.shape, array=K, comm=PETSc.COMM_SELF)
+    pc = PETSc.PC().create(PETSc.COMM_SELF)
+    pc.setOperators(A)
+    pc.setType("jacobi")
+    exact = rng.normal(size=n**3)
+    energy = exact @ K @ exact
+    x, r = A.createVecs()
+    x.set(0)
+    r.array[:] = K @ exact
+    near, count = conjugate_gradients(A, pc, x, r, lambda x, r: asked**2 * energy, 0.0, 500)
+    error = exact - x.array_r
+    assert near and count > 1
+    assert asked / 30 < np.sqrt(error @ K @ error / energy) <= asked
+    assert r.array_r == pytest.approx(K @ error, abs=1e-10 * np.sqrt(energy))
+    # Not enough iterations; and a matrix that is not positive definite.
+    x.set(0)
+    r.array[:] = K @ exact
+    assert conjugate_gradients(A, pc, x, r, lambda x, r: 0.0, 0.0, 5) == (False, 5)
+    A.shift(-2.0)
+    assert not conjugate_gradients(A, pc, x, r, lambda x, r: 0.0, 0.0, 500)[0]
 
 
 class Spring(Well):
@@ -314,6 +370,7 @@ def test_a_field_split_solves_for_adjoints_too():
 def test_where_multigrid_fails_there_is_a_factorization(monkeypatch):
     """A linear solver that gives up, as in an unstable state, is replaced for this gradient."""
     _, whole = cube(False, None)
+    monkeypatch.setattr(Kept, "solve_near", lambda *_: None)
     monkeypatch.setattr(Kept, "solve_to", lambda *_: False)
     _, found = cube(False, Settings(direct_up_to=10))
     assert found == pytest.approx(whole, abs=1e-10 * np.abs(whole).max())

@@ -8,6 +8,7 @@ that is seen in the residual.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
 
 from petsc4py import PETSc
@@ -23,6 +24,7 @@ from .reuse import solver_of
 SLOW = 0.3  # contraction above which factors of an earlier state are made anew
 MOST = 40  # corrections
 TIGHT, LOOSE = 1e-10, 1e-6
+NEAR = 3e-5  # error of an adjoint in energy, over its own
 OFF = 1e-3  # forces out of balance, over the forces that there are, of a state to be refused
 
 
@@ -35,10 +37,13 @@ class Linearized:
         problem: At a converged state.
         rtol: Tolerance of |b - K x| relative to |b|; by default 1e-10 with a factorization, and
             with multigrid 1e-6.
+        near: Whether with multigrid an error of 3e-5 in energy is small enough, where the solve is
+            told of the energy that counts.
     """
 
-    def __init__(self, problem: Problem, rtol: float | None = None) -> None:
+    def __init__(self, problem: Problem, rtol: float | None = None, near: bool = False) -> None:
         self.problem, self._asked = problem, rtol
+        self._may_be_near = near and rtol is None
         self.iterations = 0
         self._own: PETSc.KSP | None = None
 
@@ -51,6 +56,8 @@ class Linearized:
         tangent.projecting = tangent.spoiled = False
         if tangent.scaled.rounding == 0:
             tangent.scaled.measure()
+        # Built anew it would cost more than the iterations that it saves in one or two solves.
+        self._due = tangent.kept.spare()
         tangent.ksp.setOperators(tangent.product, tangent.A)
         tangent.assemble()
         self._rtol = self._asked or (LOOSE if tangent.kept.used else TIGHT)
@@ -63,14 +70,28 @@ class Linearized:
             if item is not None:
                 item.destroy()
         self._own = None
+        self._tangent.kept.due |= self._due
         if not self._tangent.kept.used:
             self._tangent.ksp.getPC().setReusePreconditioner(False)
         self._newton.options.rest()
         if not self._kept:
             self._newton.destroy()
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, transposed: bool = False) -> None:
+    def solve(
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        transposed: bool = False,
+        energy: Callable[[PETSc.Vec, PETSc.Vec], float] | None = None,
+    ) -> None:
         """Solve K x = b, or with the transposed; b is left as it is. Collective.
+
+        Args:
+            b: Right-hand side.
+            x: Solution.
+            transposed: Whether K^T takes the place of K.
+            energy: Function of x and b - K x that returns the energy a . K a of what x is needed
+                for, which the error is compared with.
 
         Raises:
             NotConverged: the tangent is singular, as at a limit point.
@@ -82,7 +103,8 @@ class Linearized:
         x.set(0)
         if norm == 0:
             return
-        if not (np.isfinite(norm) and self._solved(b, x, norm, transposed)):
+        near = energy is not None and self._near(b, x, norm, energy)
+        if not near and not (np.isfinite(norm) and self._solved(b, x, norm, transposed)):
             raise NotConverged(
                 "the tangent's linear system could not be solved to "
                 f"{self._rtol:g}: is the state a limit point, or not in equilibrium?"
@@ -117,6 +139,32 @@ class Linearized:
         self._b.pointwiseMult(b, self._tangent.scaled.D)
         self.problem.clear(self._b.array)
         return self._b
+
+    def _near(
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        norm: float,
+        energy: Callable[[PETSc.Vec, PETSc.Vec], float],
+    ) -> bool:
+        """Solve until the error in energy is small enough; False where another way is to be taken.
+
+        The gradient's own error is that in energy: of forces at supports, whose residual falls
+        with it, and of integrals over the body, whose residual falls later.
+        """
+        kept, scaled = self._tangent.kept, self._tangent.scaled
+        if not (self._may_be_near and kept.used and self.problem.symmetric):
+            return False
+        if self._own is not None or scaled.mixed or not np.isfinite(norm):
+            return False
+        self._begun(b, x, norm)
+        count = kept.solve_near(x, self._r, lambda x, r: NEAR**2 * energy(x, r), self._rtol * norm)
+        if count is None:
+            x.set(0)
+            return False
+        self.problem.clear(x.array)
+        self.iterations += count
+        return True
 
     def _solved(self, b: PETSc.Vec, x: PETSc.Vec, norm: float, transposed: bool) -> bool:
         """Correct x until |b - K x| is small enough; with factors made anew where need be."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from ...problems import Problem
+from .conjugate import conjugate_gradients
 from .cycle import cycled
 from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
@@ -171,6 +172,38 @@ class Kept:
             self._probing = False
             ksp.setNormType(kind)
         return bool(ksp.getConvergedReason() > 0)
+
+    def spare(self) -> bool:
+        """Keep what there is, if anything was built, for the next tangent; whether it was due."""
+        due, built = self.due, self._first > 0
+        self.due = due and not built
+        return due
+
+    def solve_near(
+        self,
+        x: PETSc.Vec,
+        r: PETSc.Vec,
+        near: Callable[[PETSc.Vec, PETSc.Vec], float],
+        least: float,
+    ) -> int | None:
+        """Improve x by CG until its error in energy is small enough; iterations, None if in vain.
+
+        As :func:`forms.solving.linear.conjugate.conjugate_gradients`, by what is kept, of which
+        nothing is counted or changed. Collective.
+        """
+        ksp = self._ksp
+        if ksp.getType() != "cg":
+            return None
+        ksp.getPC().setReusePreconditioner(self.stale)
+        try:
+            if not self.stale:
+                with _chosen_products(ksp, self._problem):
+                    ksp.setUp()
+            A, _ = ksp.getOperators()
+            reached, count = conjugate_gradients(A, ksp.getPC(), x, r, near, least, self._most)
+        except PETSc.Error:
+            return None
+        return count if reached else None
 
     def sees_negative_curvature(self) -> bool:
         """Whether CG for a right-hand side without symmetry meets negative curvature. Collective.
