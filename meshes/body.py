@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A mesh whose boundaries and regions have names."""
 
+import ctypes
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -187,6 +189,7 @@ def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
     if comm.rank == 0:
         try:
             grid = make()
+            _give_back()
             grid.check()
         except Exception as error:
             failure = error
@@ -206,6 +209,7 @@ def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
     rows = grid.points[:, :gdim], grid.cells, grid.regions, grid.facets, grid.boundaries
     shares = [_share(comm, array) for array in rows]
     del grid, rows  # before DOLFINx needs memory: rank 0 goes on with its share alone
+    _give_back()
     mesh, cell_tags, facet_tags = create_tagged_mesh(
         comm, coordinate_element(cell, order, gdim), *shares
     )
@@ -224,3 +228,9 @@ def _share(comm: MPI.Comm, rows: NDArray[Any]) -> NDArray[Any]:
     mine = np.empty((starts[comm.rank + 1] - starts[comm.rank], *rows.shape[1:]), rows.dtype)
     comm.Recv(mine, source=0)
     return mine
+
+
+def _give_back() -> None:
+    """Give memory that was freed back to the system, where glibc keeps it: gmsh's, above all."""
+    with suppress(AttributeError, OSError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
