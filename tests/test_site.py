@@ -23,7 +23,6 @@ MAIN = ["index", "demos/README", "demos/first_hour/README", "demos/recipes/READM
 MAIN += ["demos/documents/README", "demos/notebooks/02_stresses", "forms/README", "meshes/README"]
 MAIN += ["api/forms", "api/energies", "api/meshes", "search"]
 # Each formula has been set by MathJax.
-LOADED = "return performance.getEntriesByType('resource').map(e => e.name)"
 SET = "return [...document.querySelectorAll('.math')].every(m => m.querySelector('.mjx-math'))"
 
 
@@ -197,15 +196,16 @@ def turned(browser, name):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.by import By
 
-    frame = browser.find_element(By.CSS_SELECTOR, f"iframe[src='figures/{name}.html']")
+    frame = browser.find_element(By.CSS_SELECTOR, f"iframe[data-page='figures/{name}.html']")
     summary = frame.find_element(By.XPATH, "../summary")
     scroll = "arguments[0].scrollIntoView({block: 'start', behavior: 'instant'})"
     browser.execute_script(scroll, frame.find_element(By.XPATH, ".."))
-    page = frame.get_property("src")
-    assert not frame.is_displayed() and page not in browser.execute_script(LOADED)
+    browser.switch_to.frame(frame)
+    assert browser.execute_script("return document.URL") == "about:blank"
+    browser.switch_to.default_content()
+    assert not frame.is_displayed()
     summary.click()
     assert frame.is_displayed()
-    waited(browser, lambda b: page in b.execute_script(LOADED))
     browser.switch_to.frame(frame)
     canvas = waited(browser, lambda b: b.find_elements(By.CSS_SELECTOR, ".gl-container canvas"))[0]
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bodies that the mouse turns, beside the gallery's pictures: pages by plotly, opened by a click.
 
-Each is a page of its own in a frame, which the browser loads when it is opened; plotly's script
-lies beside them once, so nothing is asked of another server.
+Each is a page of its own in a frame, which is loaded when it is opened; plotly's script lies beside
+them once, so nothing is asked of another server.
 """
 
 import re
@@ -12,11 +12,13 @@ import numpy as np
 from demos.pages.turning import FIGURES, TURNED, Surface
 
 PICTURE = re.compile(r"!\[[^\]]*\]\(figures/(\w+)\.png\)")
+# Browsers load a frame that is hidden, lazy or not: it has its address from the first opening on.
 FRAME = """
-<details class="turned">
+<details ontoggle="const frame = this.querySelector('iframe'); frame.src ||= frame.dataset.page">
 <summary>Turn it with the mouse</summary>
-<iframe src="figures/{name}.html" title="{name}, to be turned with the mouse" loading="lazy"
+<iframe data-page="figures/{name}.html" title="{name}, to be turned with the mouse"
  style="width: 100%; aspect-ratio: 3 / 2; border: 0"></iframe>
+<a href="figures/{name}.html">On a page of its own</a>
 </details>
 """
 
