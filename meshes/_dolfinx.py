@@ -77,12 +77,12 @@ def create_tagged_mesh(
     facets: NDArray[np.int64],
     boundaries: NDArray[np.int32],
 ) -> tuple[Mesh, MeshTags, MeshTags]:
-    """Distribute a mesh given on rank 0, with its cell and facet tags. Collective.
+    """Distribute a mesh given in shares, with its cell and facet tags. Collective.
 
     Args:
         comm: Communicator.
         element: Coordinate element, the same on all ranks.
-        points: Coordinates, shape (N, gdim); (0, gdim) on the other ranks, and so on.
+        points: This rank's share of the coordinates, shape (N, gdim); so are the others.
         cells: Nodes of the cells in DOLFINx's order, shape (number of cells, nodes per cell).
         regions: Tag of each cell.
         facets: Nodes of the tagged facets, in DOLFINx's order.

@@ -24,7 +24,7 @@ def functions(
     """Make a function of each array; collective.
 
     Args:
-        mesh: Made of cells and points that rank 0 held alone.
+        mesh: Made of cells and points that the ranks had in the order of the file.
         cell_data: On rank 0 the values of each cell, shape (number of cells, …), in the order in
             which the cells were given; elsewhere empty.
         point_data: Likewise those of the points, shape (number of points, …).

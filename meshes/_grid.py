@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A whole mesh as arrays on one process, and the checks on it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import basix
@@ -16,7 +17,9 @@ __all__ = ["Grid"]
 # lengths of J's columns, a number between 0 and 1 that does not depend on units.
 DEGENERATE = 1e-10
 
-# Facets that are looked at together: what they take does not grow with the mesh.
+# Facets that are sorted together, and pairs of cells that are looked at together: what they take
+# does not grow with the mesh.
+BATCH = 2**18
 CHUNK = 2**15
 
 
@@ -82,23 +85,37 @@ class Grid:
     def _cell_type(self) -> basix.CellType:
         return basix.CellType[self.cell]
 
-    def _facets_of_cells(self) -> NDArray[np.int32]:
-        """Vertices of each cell's facets, ascending: all cells' first, then all second, ….
+    def _facets(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int32]]]:
+        """The cells' facets in batches, all cells' copies of a facet in one of them.
 
-        Shape (facets of a cell x number of cells, vertices of a facet).
+        A batch is the facets whose smallest vertices are in a range: what is held at once does not
+        grow with the mesh.
+
+        Yields:
+            Number of each facet, that of its cell plus that of its side times the number of cells,
+            and its vertices, ascending.
         """
         corners = basix.topology(self._cell_type)[self.tdim - 1]
-        # 32 bits: there are four of them for each cell, and rank 0 holds all.
-        cells = self.cells.astype(np.int32)
-        rows = np.concatenate([cells[:, c] for c in corners])
-        rows.sort(axis=1)
-        return rows
+        lowest = np.concatenate([self.cells[:, c].min(axis=1).astype(np.int32) for c in corners])
+        counts = np.cumsum(np.bincount(lowest, minlength=1))
+        start = 0
+        while start < len(counts):
+            done = counts[start - 1] if start else 0
+            stop = max(start + 1, int(np.searchsorted(counts, done + BATCH, side="right")))
+            numbers = np.flatnonzero((lowest >= start) & (lowest < stop))
+            cell, side = numbers % len(self.cells), numbers // len(self.cells)
+            rows = self.cells[cell[:, None], np.array(corners)[side]].astype(np.int32)
+            rows.sort(axis=1)
+            yield numbers, rows
+            start = stop
 
     def exterior_facets(self) -> NDArray[np.int64]:
         """Vertices of the facets that belong to one cell only."""
-        rows = self._facets_of_cells()
-        _, first, counts = np.unique(row_keys(rows), return_index=True, return_counts=True)
-        return rows[first[counts == 1]].astype(np.int64)
+        found = [np.empty((0, self.facet_corners), np.int64)]
+        for _, rows in self._facets():
+            _, first, counts = np.unique(row_keys(rows), return_index=True, return_counts=True)
+            found.append(rows[first[counts == 1]].astype(np.int64))
+        return np.concatenate(found)
 
     def check(self) -> None:
         """Refuse a mesh on which an energy would be wrong without a word, and drop unused points.
@@ -109,11 +126,10 @@ class Grid:
         """
         check_held(self.source, "region", self.regions, self.region_names)
         check_held(self.source, "boundary", self.boundaries, self.boundary_names)
-        rows = self._facets_of_cells()
-        order, same = self._complete_facets(rows)
+        surplus, shared, folded = self._complete_facets()
         self._check_shape()
         if self.gdim == self.tdim:
-            self._check_folds(rows, order, same)
+            self._check_folds(surplus, shared, folded)
         self._drop_unused_points()
 
     def _drop_unused_points(self) -> None:
@@ -125,22 +141,36 @@ class Grid:
         self.points, self.cells, self.facets = self.points[used], new[self.cells], new[self.facets]
         self.point_data = {name: values[used] for name, values in self.point_data.items()}
 
-    def _complete_facets(
-        self, rows: NDArray[np.int32]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _complete_facets(self) -> tuple[int, NDArray[np.int8], NDArray[np.int8]]:
         """Add the nodes that are no vertices; refuse facets of no cell: they would vanish.
 
         Returns:
-            The order that sorts the cells' facets, so that the same ones are neighbors, and
-            whether each in that order is the same as the next.
+            How many pairs of a facet's cells there are beside one each; and of each cell, how many
+            facets it shares, and how many of these with a cell on the same side.
         """
-        number = len(self.facets)
-        keys = row_keys(np.concatenate([rows, self.facets]) if number else rows)
-        keys, named = keys[: len(rows)], keys[len(rows) :]
-        order = np.argsort(keys, kind="stable")
-        keys = keys[order]
-        place = np.minimum(np.searchsorted(keys, named), len(keys) - 1)
-        found, loose = order[place], keys[place] != named
+        found = np.full(len(self.facets), -1, dtype=np.int64)
+        lowest = self.facets.min(axis=1) if len(found) else found
+        shared, folded = np.zeros((2, len(self.cells)), dtype=np.int8)
+        surplus = 0
+        for numbers, rows in self._facets():
+            low = rows[:, 0]
+            named = np.flatnonzero((lowest >= low.min()) & (lowest <= low.max()))
+            keys = row_keys(np.concatenate([rows, self.facets[named]]) if len(named) else rows)
+            keys, wanted = keys[: len(rows)], keys[len(rows) :]
+            order = np.argsort(keys, kind="stable")
+            keys = keys[order]
+            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            found[named] = np.where(keys[place] == wanted, numbers[order[place]], -1)
+            same = keys[1:] == keys[:-1]
+            surplus += int((same[1:] & same[:-1]).sum())
+            one, two = order[:-1][same], order[1:][same]
+            cells = numbers[one] % len(self.cells), numbers[two] % len(self.cells)
+            wrong = self._same_side(rows[one], cells) if self.gdim == self.tdim else None
+            for k in cells:
+                np.add.at(shared, k, 1)
+                if wrong is not None:
+                    np.add.at(folded, k[wrong], 1)
+        loose = found < 0
         for name, tag in self.boundary_names.items():
             mine = np.isin(self.boundaries, tag)
             if (loose & mine).any():
@@ -152,7 +182,7 @@ class Grid:
         closure = np.array(element.entity_closure_dofs[self.tdim - 1])
         cell, side = found % len(self.cells), found // len(self.cells)
         self.facets = self.cells[cell[:, None], closure[side]]
-        return order, keys[1:] == keys[:-1]
+        return surplus, shared, folded
 
     def relative_jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Smallest and largest det J / (product of J's column lengths) in each cell.
@@ -193,40 +223,40 @@ class Grid:
                 "refine the mesh there, or take order 1."
             )
 
+    def _same_side(
+        self, facets: NDArray[np.int32], cells: tuple[NDArray[np.int64], NDArray[np.int64]]
+    ) -> NDArray[np.bool_]:
+        """Whether two cells lie on the same side of their common facet, given by its vertices."""
+        x = self.points[:, : self.gdim]
+        vertices = self.cells[:, : len(basix.topology(self._cell_type)[0])]
+        wrong = np.empty(len(facets), dtype=bool)
+        for start in range(0, len(facets), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            p = x[facets[chunk]]
+            with np.errstate(invalid="ignore", over="ignore"):  # of points that are refused later
+                normal: NDArray[np.floating] = p[:, 1] - p[:, 0]
+                if self.gdim == 3:
+                    normal = np.cross(normal, p[:, 2] - p[:, 0])
+                else:
+                    normal = normal[:, ::-1] * [1, -1]
+                center = p.mean(axis=1)
+                middles = (x[vertices[k[chunk]]].mean(axis=1) for k in cells)
+                sides = [np.sum(normal * (middle - center), axis=1) for middle in middles]
+                wrong[chunk] = sides[0] * sides[1] > 0
+        return wrong
+
     def _check_folds(
-        self, rows: NDArray[np.int32], order: NDArray[np.int64], same: NDArray[np.bool_]
+        self, surplus: int, shared: NDArray[np.int8], folded: NDArray[np.int8]
     ) -> None:
         """Refuse neighbors on the same side of their common facet, however they are numbered."""
-        x = self.points[:, : self.gdim]
-        if (same[1:] & same[:-1]).any():
-            number = (same[1:] & same[:-1]).sum()
+        if surplus:
             raise ValueError(
-                f"{self.source}: {number} facets belong to three cells or more: cells overlap, "
+                f"{self.source}: {surplus} facets belong to three cells or more: cells overlap, "
                 "remove the surplus ones."
             )
-        one, two = order[:-1][same], order[1:][same]
-        cells = one % len(self.cells), two % len(self.cells)
-        vertices = self.cells[:, : len(basix.topology(self._cell_type)[0])]
-        folded = np.empty(len(one), dtype=bool)
-        for start in range(0, len(one), CHUNK):
-            chunk = slice(start, start + CHUNK)
-            p = x[rows[one[chunk]]]
-            normal: NDArray[np.floating] = p[:, 1] - p[:, 0]
-            if self.gdim == 3:
-                normal = np.cross(normal, p[:, 2] - p[:, 0])
-            else:
-                normal = normal[:, ::-1] * [1, -1]
-            center = p.mean(axis=1)
-            middles = (x[vertices[k[chunk]]].mean(axis=1) for k in cells)
-            sides = [np.sum(normal * (middle - center), axis=1) for middle in middles]
-            folded[chunk] = sides[0] * sides[1] > 0
         if folded.any():
-            count = np.zeros((2, len(self.cells)), dtype=int)
-            for k in cells:
-                np.add.at(count[0], k, 1)
-                np.add.at(count[1], k[folded], 1)
-            bad = 2 * count[1] > count[0]
-            first = np.flatnonzero(bad if bad.any() else count[1])[0]
+            bad = 2 * folded > shared
+            first = np.flatnonzero(bad if bad.any() else folded)[0]
             raise ValueError(
                 f"{self.source}: {max(bad.sum(), 1)} of {len(bad)} cells are inverted (folded over "
                 f"their neighbors), the first is number {self._label(first)}: mesh again, or move "

@@ -17,7 +17,8 @@ def row_keys(rows: NDArray[np.integer]) -> NDArray[np.int64]:
 
     Rows of numbers >= 0 in any order, shape (n, k); much faster than np.unique(axis=0).
     """
-    rows = np.sort(rows.astype(np.int32, copy=False), axis=1)
+    rows = rows.astype(np.int32)
+    rows.sort(axis=1)
     if not len(rows):
         return np.empty(0, np.int64)
     size = int(rows.max()) + 1
@@ -26,7 +27,9 @@ def row_keys(rows: NDArray[np.integer]) -> NDArray[np.int64]:
         if bound * size >= 2**63:
             _, keys = np.unique(keys, return_inverse=True)
             keys, bound = keys.ravel(), len(rows)
-        keys, bound = keys * size + column, bound * size
+        keys *= size  # in place: rank 0 holds the keys of all cells
+        keys += column
+        bound *= size
     return keys
 
 
@@ -43,9 +46,10 @@ def merge_copies(
         Index of the first copy of each, ascending; the names' members among these; and the number
         of copies that bear no other name than one before.
     """
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    if len(first) == len(keys):
+    ascending = np.sort(keys)
+    if not (ascending[1:] == ascending[:-1]).any():
         return np.arange(len(keys)), dict(sets), 0
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
     place = np.empty(len(first), dtype=np.int64)
     place[np.argsort(first)] = np.arange(len(first))
     which = place[which.ravel()]

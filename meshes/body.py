@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A mesh whose boundaries and regions have names."""
 
+import ctypes
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -187,6 +189,7 @@ def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
     if comm.rank == 0:
         try:
             grid = make()
+            _give_back()
             grid.check()
         except Exception as error:
             failure = error
@@ -202,14 +205,32 @@ def distribute(comm: MPI.Comm, make: Callable[[], Grid]) -> Body:
     cell, order, gdim, regions, boundaries, shapes = comm.bcast(header)
     if grid is None:
         grid = Grid.empty(cell, order, gdim, *shapes)
+    cell_data, point_data = grid.cell_data, grid.point_data
+    rows = grid.points[:, :gdim], grid.cells, grid.regions, grid.facets, grid.boundaries
+    shares = [_share(comm, array) for array in rows]
+    del grid, rows  # before DOLFINx needs memory: rank 0 goes on with its share alone
+    _give_back()
     mesh, cell_tags, facet_tags = create_tagged_mesh(
-        comm,
-        coordinate_element(cell, order, gdim),
-        grid.points[:, :gdim],
-        grid.cells,
-        grid.regions,
-        grid.facets,
-        grid.boundaries,
+        comm, coordinate_element(cell, order, gdim), *shares
     )
-    data = functions(mesh, grid.cell_data, grid.point_data)
+    data = functions(mesh, cell_data, point_data)
     return Body(mesh, cell_tags, facet_tags, regions, boundaries, data)
+
+
+def _share(comm: MPI.Comm, rows: NDArray[Any]) -> NDArray[Any]:
+    """This rank's part of the rows that rank 0 holds, in their order; collective."""
+    number = comm.bcast(len(rows))
+    starts = [number * rank // comm.size for rank in range(comm.size + 1)]
+    if comm.rank == 0:
+        for rank in range(1, comm.size):
+            comm.Send(np.ascontiguousarray(rows[starts[rank] : starts[rank + 1]]), dest=rank)
+        return rows[: starts[1]].copy()
+    mine = np.empty((starts[comm.rank + 1] - starts[comm.rank], *rows.shape[1:]), rows.dtype)
+    comm.Recv(mine, source=0)
+    return mine
+
+
+def _give_back() -> None:
+    """Give memory that was freed back to the system, where glibc keeps it: gmsh's, above all."""
+    with suppress(AttributeError, OSError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)

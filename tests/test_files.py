@@ -13,6 +13,7 @@ from conftest import printed
 from mesh_texts import POINTS, TAGS, TETS, attribute, data2, msh2, xdmf
 
 from variform import meshes
+from variform.meshes import _grid
 
 ROOT = Path(__file__).parent.parent
 HALVES = {"1": 1 / 6, "2": 1 / 3}
@@ -203,6 +204,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 from variform import meshes
+from variform.meshes import _grid
 
 comm, folder = MPI.COMM_WORLD, sys.argv[1]
 out = {}
@@ -291,3 +293,61 @@ def test_the_benchmark_of_reading(run, tmp_path, suffix) -> None:
     dolfinx = printed(run(*reading, file, "dolfinx"))
     assert ours["cells"] == dolfinx["cells"] == 6 * 4**3
     assert ours["ranks"] == len(ours["peak"]) == 2
+
+
+@pytest.mark.slow
+def test_rank_0_holds_little_more_than_the_others(run, tmp_path) -> None:
+    """Of a million tetrahedra on two ranks: at most 100 bytes a cell above the ranks' mean.
+
+    And of an .xdmf at most 1.5 times what DOLFINx's own reader takes, which reads in shares.
+    """
+    reading = "-m", "demos.benchmarks.reading"
+    run(*reading, "make", tmp_path, "54")
+    peaks = {}
+    for suffix in "msh", "xdmf":
+        line = printed(run(*reading, tmp_path / f"box.{suffix}", "ours", ranks=2))
+        peaks[suffix] = line["peak"]
+        assert line["cells"] == 6 * 54**3
+        assert line["peak"][0] - np.mean(line["peak"]) <= 100e-6 * line["cells"], line
+    theirs = printed(run(*reading, tmp_path / "box.xdmf", "dolfinx", ranks=2))["peak"]
+    assert max(peaks["xdmf"]) <= 1.5 * max(theirs)
+
+
+def test_checks_in_batches_are_those_of_the_whole(monkeypatch) -> None:
+    """However many facets are sorted at once: the same boundaries, and the same refusals."""
+    monkeypatch.setattr(_grid, "BATCH", 1 << 18)
+    whole = verdicts()
+    for batch in 1, 7:
+        monkeypatch.setattr(_grid, "BATCH", batch)
+        assert verdicts() == whole
+    assert [found[: len(start)] for found, start in zip(whole[2:], REFUSED, strict=True)] == REFUSED
+
+
+REFUSED = ["from_arrays: 1 facets belong to three", "from_arrays: 2 of 2 cells are inverted"]
+REFUSED += ["from_arrays: 1 of 1 facets of 'side' are no facets"]
+
+
+def verdicts() -> list[object]:
+    """Areas of a cube's faces, named by hand; its surface; and what is said of three bad bodies."""
+    grid = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 3)
+    number = {tuple(point): k for k, point in enumerate(grid)}
+    around = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    corners = [(*c, z) for z in (0, 1) for c in around]
+    low = [point for point in grid if point.max() < 3]
+    cells = [[number[tuple(point + c)] for c in corners] for point in low]
+    floor = [row[:4] for row, p in zip(cells, low, strict=True) if not p[2]]
+    top = [row[4:] for row, p in zip(cells, low, strict=True) if p[2] == 2]
+    sides = {"floor": floor, "top": top[:2]}
+    body = meshes.from_arrays(COMM, grid, cells, cell="hexahedron", boundaries=sides)
+    found: list[object] = [{name: round(area(body, name), 12) for name in sides}]
+    found.append(len(body.facets()))
+    ends = [*np.eye(3), np.zeros(3), -np.ones(3), (1, 1, 1), (0, 0, -0.5)]
+    for rows, named in (
+        ([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 5]], {}),
+        ([[0, 1, 2, 4], [0, 1, 2, 3]], {}),
+        ([[0, 1, 2, 3]], {"side": [[0, 1, 4]]}),
+    ):
+        with pytest.raises(ValueError) as told:
+            meshes.from_arrays(COMM, ends, rows, boundaries=named)
+        found.append(str(told.value))
+    return found

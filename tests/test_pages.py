@@ -10,13 +10,14 @@ import re
 import shlex
 import subprocess
 import sys
+from datetime import datetime
 
 import numpy as np
 import pytest
 import ufl
 from conftest import ROOT
 
-from demos.pages import responses
+from demos.pages import responses, turning
 from variform import forms, meshes
 
 OUTSIDE = ("results", "build", "dist")  # what runs write
@@ -376,6 +377,29 @@ def test_the_citation_has_what_its_format_requires():
     assert all(isinstance(citation[key], str) for key in ("message", "title", "version", "license"))
 
 
+@pytest.mark.parametrize("name", turning.TURNED)
+def test_bodies_to_turn_are_those_of_the_pictures(name):
+    """Beside each picture there is a small surface: triangles of its points, colors, edges."""
+    file = ROOT / "demos" / "figures" / f"{name}.npz"
+    assert file.with_suffix(".png").is_file() and file.stat().st_size <= 150_000
+    surface = turning.Surface.load(file)
+    number = len(surface.colors)
+    assert 100 < len(surface.triangles) <= turning.MOST and len(surface.lines)
+    assert set(surface.triangles.ravel()) == set(range(number))
+    assert 0 <= surface.lines.min() and surface.lines.max() < len(surface.points)
+    assert surface.limits[0] < surface.limits[1] and surface.label
+    assert np.isfinite(surface.points).all() and np.ptp(surface.points, axis=0).min() > 0
+
+
+@pytest.mark.parametrize(("name", "volume"), [("torsion", np.pi), ("bar", 10.0)])
+def test_an_incompressible_body_to_turn_has_its_volume(name, volume):
+    """Deformed, and with its triangles all the same way around: sum of x . (y x z) / 6."""
+    surface = turning.Surface.load(ROOT / "demos" / "figures" / f"{name}.npz")
+    x, y, z = (surface.points[surface.triangles[:, k]] for k in range(3))
+    found = np.sum(x * np.cross(y, z)) / 6
+    assert abs(found) == pytest.approx(volume, rel=0.01)
+
+
 def test_workflows_run_what_there_is():
     """They are YAML with jobs of steps, and each command of theirs names what exists."""
     yaml = pytest.importorskip("yaml")
@@ -398,6 +422,28 @@ def test_the_paper_has_the_figures_of_the_benchmark():
     assert len(rows) == 6 and [row for row in rows if f"\n{row}\n" not in page] == []
     cited = set(re.findall(r"@(\w+)", paper))
     assert cited == set(re.findall(r"^@\w+\{(\w+),$", list_, re.MULTILINE))
+
+
+def test_the_paper_has_what_its_journal_asks_for():
+    """Front matter, sections and references as the Journal of Open Source Software's."""
+    yaml = pytest.importorskip("yaml")
+    _, front, text = (ROOT / "paper.md").read_text().split("---\n", 2)
+    about = yaml.safe_load(front)
+    assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} == set(about)
+    known = {str(place["index"]) for place in about["affiliations"] if place["name"]}
+    for author in about["authors"]:
+        assert author["name"] and set(str(author["affiliation"]).split(", ")) <= known
+    assert len(about["tags"]) >= 3 and datetime.strptime(about["date"], "%d %B %Y")
+    heads = re.findall(r"^# (.*)$", text, re.MULTILINE)
+    assert heads[:2] == ["Summary", "Statement of need"] and heads[-1] == "References"
+    assert 250 <= len(text.split()) <= 1750
+    entries = (ROOT / about["bibliography"]).read_text().strip().split("\n\n")
+    for entry in entries:
+        assert re.match(r"@(article|misc|techreport|inproceedings)\{\w+,\n", entry), entry
+        assert entry.count("{") == entry.count("}") and entry.endswith("\n}"), entry
+        fields = set(re.findall(r"^  (\w+) = \{.*\},?$", entry, re.MULTILINE))
+        assert {"author", "title", "year"} <= fields, entry
+        assert len(fields) == entry.count("\n") - 1, entry  # one a line
 
 
 def test_the_energy_of_contributing_is_right():

@@ -172,24 +172,20 @@ PROGRAM = """
 import json, sys
 from mpi4py import MPI
 import ufl
+from bodies import integral
 from dolfinx import fem
 from variform import meshes
 
 comm, folder = MPI.COMM_WORLD, sys.argv[1]
 
-def total(value):
-    return comm.allreduce(value)
-
 def facts(body):
     imap, one = body.mesh.topology.index_map(body.facet_tags.dim), fem.Constant(body.mesh, 1.0)
     x, n = ufl.SpatialCoordinate(body.mesh), ufl.FacetNormal(body.mesh)
-    facts = [total(fem.assemble_scalar(fem.form(one * body.dx())))]
-    facts += [total(fem.assemble_scalar(fem.form(ufl.inner(x, n) * body.ds(degree=4))))]
+    facts = [integral(one, body.dx()), integral(ufl.inner(x, n), body.ds(degree=4))]
     for name in body.boundaries:
-        facts += [total(fem.assemble_scalar(fem.form(one * body.ds(name, degree=4))))]
-        facts += [total(int((body.facets(name) < imap.size_local).sum()))]
-    for name in body.regions:
-        facts += [total(fem.assemble_scalar(fem.form(one * body.dx(name))))]
+        facts += [integral(one, body.ds(name, degree=4))]
+        facts += [comm.allreduce(int((body.facets(name) < imap.size_local).sum()))]
+    facts += [integral(one, body.dx(name)) for name in body.regions]
     return facts
 
 out = {

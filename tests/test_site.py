@@ -4,6 +4,7 @@
 With ``ENTER_SITE=1 docker/enter``, which brings Sphinx and Chromium; without them skipped.
 """
 
+import io
 import re
 import shutil
 from html.parser import HTMLParser
@@ -11,9 +12,10 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from demos.pages.turning import TURNED
 from demos.site import __main__ as command
 
-for name in ("sphinx", "myst_nb", "furo"):
+for name in ("sphinx", "myst_nb", "furo", "plotly"):
     pytest.importorskip(name, reason=f"{name} is missing: ENTER_SITE=1 docker/enter")
 
 pytestmark = pytest.mark.slow
@@ -138,32 +140,97 @@ def test_what_it_refuses(run, tmp_path, monkeypatch, capsys):
     assert done.returncode == 2
 
 
-def test_chromium_opens_the_main_pages(site, tmp_path):
-    """From the disk, without an error in the console; formulas are set, and the search finds."""
+@pytest.fixture
+def browser(tmp_path):
+    """A headless Chromium, whose console is kept."""
     pytest.importorskip("selenium", reason="selenium is missing: ENTER_SITE=1 docker/enter")
     from selenium import webdriver
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.ui import WebDriverWait
 
     options = webdriver.ChromeOptions()
-    for word in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "window-size=1400,1000"):
+    words = ("headless=new", "no-sandbox", "disable-dev-shm-usage", "window-size=1400,1000")
+    for word in (*words, "enable-unsafe-swiftshader"):  # WebGL without a graphics card
         options.add_argument(f"--{word}")
     options.add_argument(f"--user-data-dir={tmp_path}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     options.binary_location = shutil.which("chromium")
     service = webdriver.ChromeService(shutil.which("chromedriver"))
-    browser = webdriver.Chrome(options=options, service=service)
-    try:
-        for name in MAIN:
-            browser.get(f"file://{site[0]}/{name}.html")
-            WebDriverWait(browser, 120).until(lambda b: b.execute_script(SET))
-            assert browser.find_elements(By.CSS_SELECTOR, ".mjx-merror, .MathJax_Error") == []
-            broken = "return [...document.images].filter(i => i.complete && !i.naturalWidth).length"
-            assert browser.execute_script(broken) == 0
-        browser.get(f"file://{site[0]}/search.html?q=neo_hookean")
-        WebDriverWait(browser, 120).until(
-            lambda b: b.find_elements(By.CSS_SELECTOR, "#search-results li a")
-        )
-        assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-    finally:
-        browser.quit()
+    driver = webdriver.Chrome(options=options, service=service)
+    yield driver
+    driver.quit()
+
+
+def waited(browser, condition):
+    """What a condition gives once it holds."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    return WebDriverWait(browser, 120).until(condition)
+
+
+def severe(browser):
+    return [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def test_chromium_opens_the_main_pages(site, browser):
+    """From the disk, without an error in the console; formulas are set, and the search finds."""
+    from selenium.webdriver.common.by import By
+
+    for name in MAIN:
+        browser.get(f"file://{site[0]}/{name}.html")
+        waited(browser, lambda b: b.execute_script(SET))
+        assert browser.find_elements(By.CSS_SELECTOR, ".mjx-merror, .MathJax_Error") == []
+        broken = "return [...document.images].filter(i => i.complete && !i.naturalWidth).length"
+        assert browser.execute_script(broken) == 0
+    browser.get(f"file://{site[0]}/search.html?q=neo_hookean")
+    waited(browser, lambda b: b.find_elements(By.CSS_SELECTOR, "#search-results li a"))
+    assert severe(browser) == []
+
+
+def turned(browser, name):
+    """Open a body's frame, which is loaded then and not before, and drag the mouse across it.
+
+    Returns:
+        The share of the frame that is inked, what of it changes by itself, and by the drag.
+    """
+    import matplotlib.image
+    import numpy as np
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+
+    frame = browser.find_element(By.CSS_SELECTOR, f"iframe[data-page='figures/{name}.html']")
+    summary = frame.find_element(By.XPATH, "../summary")
+    scroll = "arguments[0].scrollIntoView({block: 'start', behavior: 'instant'})"
+    browser.execute_script(scroll, frame.find_element(By.XPATH, ".."))
+    browser.switch_to.frame(frame)
+    assert browser.execute_script("return document.URL") == "about:blank"
+    browser.switch_to.default_content()
+    assert not frame.is_displayed()
+    summary.click()
+    assert frame.is_displayed()
+    browser.switch_to.frame(frame)
+    canvas = waited(browser, lambda b: b.find_elements(By.CSS_SELECTOR, ".gl-container canvas"))[0]
+
+    def seen():
+        with io.BytesIO(canvas.screenshot_as_png) as png:
+            return matplotlib.image.imread(png)[..., :3]
+
+    def share(picture):  # of pixels that differ
+        return (np.abs(picture - before).max(axis=2) > 0.1).mean()
+
+    waited(browser, lambda b: np.ptp(seen()) > 0.5)
+    before = seen()
+    still = share(seen())
+    drag = ActionChains(browser).move_to_element(canvas).click_and_hold()
+    drag.move_by_offset(150, 40).move_by_offset(50, 10).release().perform()
+    waited(browser, lambda b: share(seen()) > 0.005)
+    found = (before.min(axis=2) < 0.9).mean(), still, share(seen())
+    browser.switch_to.default_content()
+    return found
+
+
+def test_bodies_are_turned_by_the_mouse(site, browser):
+    """A drag changes most of what is drawn; without one it stands still; no error is told."""
+    for name in TURNED:
+        browser.get(f"file://{site[0]}/demos/README.html")
+        inked, still, changed = turned(browser, name)
+        assert inked > 0.03 and still == 0 and changed > 0.3 * inked, name
+    assert severe(browser) == []

@@ -2,9 +2,9 @@
 """Write the pages' tables and pictures: ``docker/enter python3 -m demos.pages``.
 
 ``--tables`` leaves the pictures as they are; ``--demos`` runs every demo twice before, for their
-times and pictures, ``--demos=swing,jump`` some of them. What is written stands in forms/README.md,
-forms/solving/README.md, meshes/README.md, tests/README.md and demos/README.md between two marks
-each, and in demos/figures.
+times and pictures, and once more for the surfaces that the site turns; ``--demos=swing,jump`` some
+of them. What is written stands in forms/README.md, forms/solving/README.md, meshes/README.md,
+tests/README.md and demos/README.md between two marks each, and in demos/figures.
 """
 
 import sys

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Build the site: ``ENTER_SITE=1 docker/enter python3 -m demos.site [FOLDER]``.
 
-The pages (.md) and the executed notebooks that there are, and a reference from the docstrings, by
-Sphinx with myst-nb; nothing is executed. It goes to results/site, or to FOLDER, and asks no other
-server for anything: it opens from the disk, too.
+The pages (.md) and the executed notebooks that there are, a reference from the docstrings, by
+Sphinx with myst-nb, and bodies that the mouse turns, by plotly; nothing is executed. It goes to
+results/site, or to FOLDER, and asks no other server for anything: it opens from the disk, too.
 """
 
 import importlib.util
@@ -13,6 +13,8 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+
+from . import bodies
 
 ROOT = Path(__file__).resolve().parents[2]
 MATHJAX = Path("/usr/share/javascript/mathjax")
@@ -76,6 +78,7 @@ def copy_pages(folder):
         for path in set(LINK.findall(text)):
             if (here / path).resolve() == ROOT / "README.md":
                 text = text.replace(f"]({path}", f"]({index}")
+        text = bodies.with_frames(text) if page == ROOT / "demos" / "README.md" else text
         copy(page, folder).write_text(text)
     for notebook in notebooks:
         copy(notebook, folder)
@@ -200,7 +203,9 @@ def build(folder, warnings):
         for part in MATHJAX_PARTS:
             shutil.copytree(MATHJAX / part, static / "mathjax" / part)
         shutil.copy(MATHJAX / "MathJax.js", static / "mathjax")
+        bodies.write(Path(scratch, "extra", "demos", "figures"))
         settings = {**SETTINGS, "html_static_path": [str(static)]}
+        settings["html_extra_path"] = [str(Path(scratch, "extra"))]
         app = Sphinx(source, None, folder, Path(scratch, "trees"), "html", settings, None, warnings)
         app.connect("autodoc-process-docstring", literal, priority=400)
         app.connect("autodoc-process-signature", shortened)
@@ -224,7 +229,8 @@ def main(words):
     if len(words) > 1 or any(word.startswith("-") for word in words):
         print(f"One folder is all that can be given, not {' '.join(words)}.")
         return 2
-    absent = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
+    needed = ("sphinx", "myst_nb", "furo", "plotly")
+    absent = [name for name in needed if not importlib.util.find_spec(name)]
     absent += [] if MATHJAX.is_dir() else ["MathJax"]
     if absent:
         print(f"The site needs {', '.join(absent)}: ENTER_SITE=1 docker/enter brings them.")
