@@ -148,51 +148,84 @@ static inline void rotate_blocks(int rows, int cols, const double U[9], const do
   }
 }
 
+#ifdef LANES
+/* rotate_blocks() of `count` <= LANES points 3x3 at once: the upper half of each A, and the lower. */
+static void rotate_lanes_blocks(int count, double (*U)[9], double (*V)[9], const blocks_t *M, double *A)
+{
+  lanes_t u[3][3], v[3][3], stretch[3][3], same[3][3], mixed[3][3], Q[3][3][9], R[3][3][9];
+  for (int i = 0; i < 9; i++)
+    for (int k = 0; k < LANES; k++) {
+      const int l = k < count ? k : 0, a = i / 3, b = i % 3;
+      u[a][b][k] = U[l][i], v[a][b][k] = V[l][i];
+      stretch[a][b][k] = M[l].stretch[a][b];
+      same[a][b][k] = M[l].same[a][b], mixed[a][b][k] = M[l].mixed[a][b];
+    }
+  for (int a = 0; a < 3; a++)
+    for (int b = 0; b < 3; b++)
+      for (int k = 0; k < 9; k++)
+        Q[a][b][k] = u[k / 3][a] * v[k % 3][b];
+  for (int a = 0; a < 3; a++)
+    for (int b = 0; b < 3; b++)
+      for (int k = 0; k < 9; k++)
+        R[a][b][k] = a != b ? same[a][b] * Q[a][b][k] + mixed[a][b] * Q[b][a][k]
+                            : stretch[a][0] * Q[0][0][k] + stretch[a][1] * Q[1][1][k] +
+                                stretch[a][2] * Q[2][2][k];
+  for (int i = 0; i < 3; i++) {
+    lanes_t S[3][9];
+    for (int b = 0; b < 3; b++)
+      for (int k = 3 * i; k < 9; k++)
+        S[b][k] = u[i][0] * R[0][b][k] + u[i][1] * R[1][b][k] + u[i][2] * R[2][b][k];
+    for (int j = 0; j < 3; j++)
+      for (int k = 3 * i + j; k < 9; k++) {
+        const lanes_t sum = v[j][0] * S[0][k] + v[j][1] * S[1][k] + v[j][2] * S[2][k];
+        for (int l = 0; l < count; l++)
+          A[81 * l + 9 * (3 * i + j) + k] = A[81 * l + 9 * k + 3 * i + j] = sum[l];
+      }
+  }
+}
+#endif
+
 static inline void set_all(double *x, int n, double value)
 {
   for (int i = 0; x && i < n; i++)
     x[i] = value;
 }
 
-/* point() with the singular values already known. */
-static void point_of(const operator_t *op, const double *X, const double U[9], const double s[3],
-                     const double V[9], int project, double *W, double *P, double *A)
+/* W, P and the blocks of A, the singular values known; each may be NULL. 1 where all are finite, 0
+   where they are not, -1 for an operand that is not. */
+static int derive(const operator_t *op, const double *X, const double U[9], const double s[3],
+                  const double V[9], int project, double *W, double *P, blocks_t *M)
 {
   const int rows = op->rows, cols = op->cols, n = rows * cols;
   double c[3 + PARAMETERS], jet[JET];
-  blocks_t M;
-  if (!finite_array(X, n) || op->parameters > PARAMETERS) {
-    set_all(W, 1, NAN), set_all(P, n, NAN), set_all(A, n * n, NAN);
-    return;
-  }
+  if (!finite_array(X, n) || op->parameters > PARAMETERS)
+    return -1;
   for (int i = 0; i < op->stretches; i++)
     c[i] = s[i];
   for (int i = 0; i < op->parameters; i++)
     c[op->stretches + i] = X[n + i];
   evaluate_psi(op, c, jet);
-  int finite = finite_array(jet, JET);
-  if (finite && P)
-    for (int i = 0; i < rows; i++)
-      for (int j = 0; j < cols; j++) {
-        double sum = U[3 * i] * jet[1] * V[3 * j] + U[3 * i + 1] * jet[2] * V[3 * j + 1];
-        if (cols == 3)
-          sum += U[3 * i + 2] * jet[3] * V[3 * j + 2];
-        P[cols * i + j] = sum;
-      }
-  if (finite && A) {
-    finite = fill_blocks(op, c, jet, project, &M);
-    if (rows == 2)
-      rotate_blocks(2, 2, U, V, &M, A);
-    else if (cols == 2)
-      rotate_blocks(3, 2, U, V, &M, A);
-    else
-      rotate_blocks(3, 3, U, V, &M, A);
-    finite = finite && finite_array(A, n * n);
-  }
-  if (finite && W)
+  if (!finite_array(jet, JET))
+    return 0;
+  for (int i = 0; P && i < rows; i++)
+    for (int j = 0; j < cols; j++) {
+      double sum = U[3 * i] * jet[1] * V[3 * j] + U[3 * i + 1] * jet[2] * V[3 * j + 1];
+      if (cols == 3)
+        sum += U[3 * i + 2] * jet[3] * V[3 * j + 2];
+      P[cols * i + j] = sum;
+    }
+  if (W)
     *W = jet[0];
-  if (!finite)
-    set_all(W, 1, INFINITY), set_all(P, n, INFINITY), set_all(A, n * n, INFINITY);
+  return !M || fill_blocks(op, c, jet, project, M);
+}
+
+/* Replace W, P and A where one of them is not finite; see point(). */
+static void settle(int state, int n, double *W, double *P, double *A)
+{
+  if (state == 1)
+    return;
+  const double value = state ? NAN : INFINITY;
+  set_all(W, 1, value), set_all(P, n, value), set_all(A, n * n, value);
 }
 
 /* W (1), P (rows*cols) and A ((rows*cols)^2, A[ij][kl] = dP_ij/dF_kl) at X = operand, parameters;
@@ -203,9 +236,21 @@ static void point_of(const operator_t *op, const double *X, const double U[9], c
 static void point(const operator_t *op, const double *X, int project, double *W, double *P,
                   double *A)
 {
+  const int rows = op->rows, cols = op->cols, n = rows * cols;
   double U[9], s[3], V[9];
-  svd(op->rows, op->cols, op->plane, op->improper, X, U, s, V);
-  point_of(op, X, U, s, V, project, W, P, A);
+  blocks_t M;
+  svd(rows, cols, op->plane, op->improper, X, U, s, V);
+  int state = derive(op, X, U, s, V, project, W, P, A ? &M : 0);
+  if (state == 1 && A) {
+    if (rows == 2)
+      rotate_blocks(2, 2, U, V, &M, A);
+    else if (cols == 2)
+      rotate_blocks(3, 2, U, V, &M, A);
+    else
+      rotate_blocks(3, 3, U, V, &M, A);
+    state = finite_array(A, n * n);
+  }
+  settle(state, n, W, P, A);
 }
 
 /* point() at `count` rows of X, whose outputs follow each other in W, P and A. */
@@ -216,12 +261,21 @@ static void points_in_row(const operator_t *op, long count, const double *X, int
   long k = 0;
 #ifdef LANES
   double U[LANES][9], s[LANES][3], V[LANES][9];
-  while (n == 9 && !op->plane && count - k > 1) {
+  blocks_t M[LANES] = {{{{0}}, {{0}}, {{0}}}};
+  int states[LANES];
+  for (; n == 9 && !op->plane && count - k > 1; k += LANES) {
     const int together = count - k < LANES ? (int)(count - k) : LANES;
     svd_lanes(together, stride, op->improper, X + stride * k, U, s, V);
-    for (int l = 0; l < together; l++, k++)
-      point_of(op, X + stride * k, U[l], s[l], V[l], project, W ? W + k : 0, P ? P + n * k : 0,
-               A ? A + n * n * k : 0);
+    for (int l = 0; l < together; l++)
+      states[l] = derive(op, X + stride * (k + l), U[l], s[l], V[l], project, W ? W + k + l : 0,
+                         P ? P + n * (k + l) : 0, A ? &M[l] : 0);
+    if (A)
+      rotate_lanes_blocks(together, U, V, M, A + n * n * k);
+    for (int l = 0; l < together; l++) {
+      double *const a = A ? A + n * n * (k + l) : 0;
+      states[l] = states[l] == 1 && a ? finite_array(a, 81) : states[l];
+      settle(states[l], 9, W ? W + k + l : 0, P ? P + n * (k + l) : 0, a);
+    }
   }
 #endif
   for (; k < count; k++)
