@@ -24,7 +24,7 @@ from .reuse import solver_of
 SLOW = 0.3  # contraction above which factors of an earlier state are made anew
 MOST = 40  # corrections
 TIGHT, LOOSE = 1e-10, 1e-6
-NEAR = 3e-5  # error of an adjoint in energy, over its own
+NEAR = 3e-6  # error of an adjoint in energy, over its own
 OFF = 1e-3  # forces out of balance, over the forces that there are, of a state to be refused
 
 
@@ -37,7 +37,7 @@ class Linearized:
         problem: At a converged state.
         rtol: Tolerance of |b - K x| relative to |b|; by default 1e-10 with a factorization, and
             with multigrid 1e-6.
-        near: Whether with multigrid an error of 3e-5 in energy is small enough, where the solve is
+        near: Whether with multigrid an error of 3e-6 in energy is small enough, where the solve is
             told of the energy that counts.
     """
 

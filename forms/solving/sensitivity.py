@@ -61,8 +61,8 @@ def gradient(
             (Constants) and in J.
         rtol: Tolerance of the linear solve, in its residual. By default 1e-10 where the problem is
             solved by a factorization; with multigrid the adjoint's error in energy is at most
-            3e-5 of its own, by an estimate, so that five digits of the gradient, as a whole, are
-            right: more by rtol.
+            3e-6 of its own, by an estimate, so that five to six digits of the gradient, as a whole,
+            are right: more by rtol.
 
     Returns:
         For each parameter: of a scalar Constant a number, of another an array of its shape; of a
