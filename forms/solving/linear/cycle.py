@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from petsc4py import PETSc
 
+from ...native.library import library
 from .sweeps import Sweeps
 
 
@@ -24,6 +26,7 @@ class Cycle:
 
     def __init__(self, levels: PETSc.PC) -> None:
         self.levels = levels
+        self._loaded = library(levels.comm.tompi4py())  # once: to ask for it takes messages
         self._all: list[_Level] = []
 
     def setUp(self, pc: PETSc.PC) -> None:
@@ -32,7 +35,8 @@ class Cycle:
         self.levels.setOperators(*pc.getOperators())
         self.levels.setUp()
         self._coarse = self.levels.getMGCoarseSolve()
-        self._all = [_Level(self.levels, n) for n in range(1, self.levels.getMGLevels())]
+        numbers = range(1, self.levels.getMGLevels())
+        self._all = [_Level(self.levels, n, self._loaded) for n in numbers]
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Put M^-1 b into x. Collective."""
@@ -81,10 +85,10 @@ class _Level:
         b, x: Right-hand side and solution of the level below.
     """
 
-    def __init__(self, levels: PETSc.PC, n: int) -> None:
+    def __init__(self, levels: PETSc.PC, n: int, loaded: tuple[Any, Any]) -> None:
         self._solver, self.P = levels.getMGSmoother(n), levels.getMGInterpolation(n)
         self._A = self._solver.getOperators()[1]
-        self._sweeps = Sweeps(self._A)
+        self._sweeps = Sweeps(self._A, loaded)
         self.r = self._A.createVecLeft()
         self.b, self.x = self.P.createVecRight(), self.P.createVecRight()
 

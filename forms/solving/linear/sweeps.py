@@ -26,15 +26,16 @@ class Sweeps:
     own products stay exact, converges to any tolerance.
 
     Args:
-        A: Symmetric AIJ matrix of 3x3 blocks; None stands for one that is none.
+        A: Symmetric AIJ matrix of 3x3 blocks.
+        loaded: The library of kernels and its interface, where they are at hand.
 
     Attributes:
         possible: Whether A is one; alike on all ranks.
     """
 
-    def __init__(self, A: PETSc.Mat) -> None:
+    def __init__(self, A: PETSc.Mat, loaded: tuple[Any, Any] | None = None) -> None:
         comm = A.comm.tompi4py()
-        self._A, (self._lib, self._ffi) = A, library(comm)
+        self._A, (self._lib, self._ffi) = A, loaded or library(comm)
         count = nodes = -1
         if A.getType() in ("seqaij", "mpiaij"):
             part = _petsc.owned_part(A)
