@@ -85,7 +85,7 @@ typedef struct {
   int nodes; int32_t *starts; int32_t *columns; float *blocks; float *inverse; double scale;
 } sweeps_t;
 long sweeps_count(int nodes, const int32_t *rows, const int32_t *columns);
-void sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values);
+double sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values);
 void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, double *r,
                   float *room);
 extern const long declared[15];

@@ -3,7 +3,8 @@
 
    A smoother need not be exact, and what a sweep costs is reading the matrix: of a symmetric one
    half is enough, in blocks half of the column numbers and more go, and so does half of each
-   number. Blocks are kept by columns of four numbers, the last one 0. */
+   number. Where a node is so much stiffer one way than another that single precision would lose the
+   latter, the least pivot tells. Blocks are kept by columns of four numbers, the last one 0. */
 #ifndef VARIFORM_SWEEPS_H
 #define VARIFORM_SWEEPS_H
 
@@ -26,25 +27,32 @@ static inline quad_t quad(const float *at)
   return *(const quad_t *)at;
 }
 
-/* Columns of the inverse of a symmetric block D; of its diagonal alone where it has none. */
-static inline void invert_block(const double D[9], float inverse[12])
+/* Columns of the inverse of a symmetric block D, 0 for rows that are empty. Returns its least pivot over
+   the entry on the diagonal, between 0 and 1: of as much a solve by D loses digits; below 0 where D is
+   not positive. */
+static inline double invert_block(const double D[9], float inverse[12])
 {
-  double cofactors[9], most = 0;
+  double scale[3], S[9], cofactors[9];
+  int negative = 0;
+  for (int i = 0; i < 3; i++) {
+    scale[i] = D[4 * i] > 0 ? 1 / sqrt(D[4 * i]) : 0;
+    negative |= D[4 * i] < 0;
+  }
+  for (int n = 0; n < 9; n++)
+    S[n] = n % 4 ? scale[n / 3] * D[n] * scale[n % 3] : 1;
   for (int r = 0; r < 3; r++)
     for (int c = 0; c < 3; c++) {
       const int r1 = (r + 1) % 3, r2 = (r + 2) % 3, c1 = (c + 1) % 3, c2 = (c + 2) % 3;
-      cofactors[3 * r + c] = D[3 * r1 + c1] * D[3 * r2 + c2] - D[3 * r1 + c2] * D[3 * r2 + c1];
-      most = fmax(most, fabs(D[3 * r + c]));
+      cofactors[3 * r + c] = S[3 * r1 + c1] * S[3 * r2 + c2] - S[3 * r1 + c2] * S[3 * r2 + c1];
     }
-  const double det = D[0] * cofactors[0] + D[1] * cofactors[1] + D[2] * cofactors[2];
-  const int regular = fabs(det) > DBL_EPSILON * most * most * most;
-  for (int c = 0; c < 3; c++) {
-    for (int r = 0; r < 3; r++) {
-      const double own = r == c && D[4 * r] != 0 ? 1 / D[4 * r] : 0;
-      inverse[4 * c + r] = (float)(regular ? cofactors[3 * c + r] / det : own);
-    }
-    inverse[4 * c + 3] = 0;
+  const double det = S[0] * cofactors[0] + S[1] * cofactors[1] + S[2] * cofactors[2];
+  for (int n = 0; n < 12; n++) {
+    const int r = n % 4, c = n / 4;
+    const double entry = r == 3 ? 0 : det > DBL_EPSILON ? cofactors[3 * c + r] / det : r == c;
+    inverse[n] = r == 3 ? 0 : (float)(scale[r] * entry * scale[c]);
   }
+  const double second = cofactors[8]; /* the first is 1 */
+  return negative ? -1 : second > 0 ? fmin(second, det / second) : second;
 }
 
 /* Number of blocks left of the diagonal of a matrix in compressed rows; -1 where it is not one of
@@ -71,10 +79,12 @@ long sweeps_count(int nodes, const int32_t *rows, const int32_t *columns)
   return count;
 }
 
-/* Take the blocks of a matrix for which sweeps_count() has found their number. */
-void sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values)
+/* Take the blocks of a matrix for which sweeps_count() has found their number; the least pivot of those on
+   the diagonal. */
+double sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values)
 {
   long at = 0;
+  double least = 1;
   s->scale = 0;
   for (long i = 0; i < 3L * s->nodes; i++)
     for (int32_t k = rows[i]; k < rows[i + 1]; k++)
@@ -92,7 +102,7 @@ void sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const
         double D[9];
         for (int n = 0; n < 9; n++)
           D[n] = factor * values[row[n / 3] + k + n % 3];
-        invert_block(D, s->inverse + 12L * i);
+        least = fmin(least, invert_block(D, s->inverse + 12L * i));
         continue;
       }
       float *block = s->blocks + 12 * at;
@@ -102,6 +112,7 @@ void sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const
     }
   }
   s->starts[s->nodes] = (int32_t)at;
+  return least;
 }
 
 /* B x of a block. */

@@ -17,7 +17,7 @@ class Cycle:
 
     On each level, from x = 0: a symmetric sweep, the correction P A_c^-1 P^T of what is left by the
     level below, a symmetric sweep again. It is what PETSc's own cycle with PCSOR does, which is
-    the smoother where a matrix is none of 3x3 blocks. A context of PETSc's ``python``
+    the smoother where these sweeps are not possible. A context of PETSc's ``python``
     preconditioner; where that is kept for another tangent, the finest level still sees this one.
 
     Args:
@@ -62,7 +62,7 @@ class Cycle:
         self.levels.reset()
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
-        """Show the levels, whose own smoothers are in use where a matrix is none of blocks."""
+        """Show the levels, whose own smoothers are in use where sweeps are not possible."""
         self.levels.view(viewer)
 
     def _free(self) -> None:
@@ -93,9 +93,8 @@ class _Level:
         self.b, self.x = self.P.createVecRight(), self.P.createVecRight()
 
     def update(self) -> None:
-        """Take the numbers of the matrix."""
-        if self._sweeps.possible:
-            self._sweeps.update()
+        """Take the numbers of the matrix. Collective."""
+        self._sweeps.update()
 
     def smooth(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve roughly from x = 0."""

@@ -89,8 +89,11 @@ class OrderMultigrid:
             smoother.getPC().setPythonContext(Patch(problem))
         below = {"ksp_type": "preonly", **aggregation()}
         _set(self._pc.getMGCoarseSolve(), f"{prefix}coarse_", below)
-        if self._pc.getMGCoarseSolve().getPC().getType() == "gamg":
-            cycled(self._pc.getMGCoarseSolve(), PETSc.Options(f"{prefix}coarse_").getAll())
+        coarse = self._pc.getMGCoarseSolve()
+        # The product is for one application of many, by GMRES, which wants it linear to the last
+        # digit.
+        if added and coarse.getPC().getType() == "gamg":
+            cycled(coarse, PETSc.Options(f"{prefix}coarse_").getAll())
 
     def update(self, A: PETSc.Mat) -> None:
         """Take the coarse operator of a tangent. Collective."""

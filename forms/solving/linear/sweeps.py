@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ... import _petsc
 from ...native.library import library
 
+LEAST = 1e-4  # pivot of a node's block over its diagonal: three digits of seven are left
 ROOM, BLOCK = 8, 12  # numbers a node, numbers a block (kernels/sweeps.h)
 
 
@@ -30,19 +32,22 @@ class Sweeps:
         loaded: The library of kernels and its interface, where they are at hand.
 
     Attributes:
-        possible: Whether A is one; alike on all ranks.
+        possible: Whether A is one, and no node so much stiffer one way than another (fibers, stiff
+            springs, contact: 1e4 times) that the other way would be lost; alike on all ranks.
     """
 
     def __init__(self, A: PETSc.Mat, loaded: tuple[Any, Any] | None = None) -> None:
-        comm = A.comm.tompi4py()
+        self._comm = comm = A.comm.tompi4py()
         self._A, (self._lib, self._ffi) = A, loaded or library(comm)
         count = nodes = -1
         if A.getType() in ("seqaij", "mpiaij"):
             part = _petsc.owned_part(A)
             nodes, odd = divmod(len(part.rows) - 1, 3)
             count = -1 if odd else self._lib.sweeps_count(nodes, *map(self._at, part[:2]))
-        self.possible = not comm.allreduce(count < 0)
-        if not self.possible:
+        self.possible = False
+        self._record: Any = None
+        self._beside: _petsc.OffDiagonal | None = None
+        if comm.allreduce(count < 0):
             return
         self._arrays = (
             np.empty(nodes + 1, np.int32),
@@ -54,7 +59,6 @@ class Sweeps:
         self._record = r = self._ffi.new("sweeps_t *")
         r.nodes = nodes
         r.starts, r.columns, r.blocks, r.inverse = map(self._at, self._arrays)
-        self._beside: _petsc.OffDiagonal | None = None
         if A.getType() == "mpiaij":
             self._beside, self._given = _petsc.OffDiagonal(A), A.createVecLeft()
         self._state = -1
@@ -66,11 +70,12 @@ class Sweeps:
         return self._ffi.cast(kind, array.ctypes.data)
 
     def update(self) -> None:
-        """Take the numbers that the matrix has now, if they are others. Local."""
-        if self._state != self._A.stateGet():
-            self._state = self._A.stateGet()
-            part = _petsc.owned_part(self._A)
-            self._lib.sweeps_fill(self._record, *(self._at(array) for array in part))
+        """Take the numbers that the matrix has now, if they are others. Collective."""
+        if self._record is None or self._state == self._A.stateGet():
+            return
+        self._state = self._A.stateGet()
+        least = self._lib.sweeps_fill(self._record, *map(self._at, _petsc.owned_part(self._A)))
+        self.possible = bool(self._comm.allreduce(least, MPI.MIN) >= LEAST)
 
     def __call__(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec | None = None) -> None:
         """Improve x; or begin at x = 0 and put b - A x into r. Collective."""
@@ -86,6 +91,6 @@ class Sweeps:
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
-        if self.possible and self._beside is not None:
+        if self._beside is not None:
             self._beside.destroy()
             self._given.destroy()
