@@ -18,7 +18,6 @@ from typing import Any
 from mpi4py import MPI
 
 import basix
-import basix.ufl
 import numpy as np
 import ufl
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from .batches import one_by_one, several
 from .compilation import compiled
 from .native import records
 from .native.library import element_library, measured
-from .splitting import is_shared, moduli_of, of_degree, split
+from .splitting import form_of_moduli, is_shared, moduli_of, of_degree, split
 
 ALIGNED = 64  # bytes: the largest vector register
 REPEATS = 10  # of a measurement, of which the shortest counts
@@ -124,18 +123,12 @@ class _Rule:
         V: Any = tangent.arguments()[0].ufl_function_space()
         mesh, domain = V.mesh, tangent.ufl_domain()
         cell = getattr(basix.CellType, _dolfinx.cell_name(domain.ufl_cell()))
-        rows = V.dofmap.bs * (mesh.topology.dim if derivatives else 1)
         shared = is_shared(integrals, domain)
         if shared:  # one point has them for all
             integrals = [of_degree(i, 0) for i in integrals]
-        element = basix.ufl.quadrature_element(cell, degree=0 if shared else degree)
-        values = basix.ufl.blocked_element(element, shape=(rows * (rows + 1) // 2,))
-        test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
 
         def derived() -> ufl.Form:
-            made = [ufl.inner(moduli_of(i, tangent, derivatives), test) for i in integrals]
-            pairs = zip(integrals, made, strict=True)
-            return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])
+            return form_of_moduli(integrals, tangent, derivatives, 0 if shared else degree)
 
         recipe = f"{inspect.getsource(moduli_of)} {derivatives}"
         found = several(ufl.Form(integrals), derived, recipe)

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import basix
+import basix.ufl
 import ufl
 from ufl.algorithms import expand_derivatives
 
+from . import _dolfinx
 from ._types import Expr
 from .batches import is_over_cells
 from .differentiation import expanded, nodes
@@ -96,3 +99,25 @@ def moduli_of(integral: Any, tangent: ufl.Form, derivatives: int) -> Expr:
     return ufl.as_vector(
         [ufl.replace(columns[c], {test: unit(r)}) for r in rows for c in rows if c >= r]
     )
+
+
+def form_of_moduli(
+    integrals: list[Any], tangent: ufl.Form, derivatives: int, degree: int
+) -> ufl.Form:
+    """Moduli as a form: linear in values at the points of a rule, by whose kernels FFCx gives them.
+
+    Args:
+        integrals: Those of one kind and rule, of :func:`split`.
+        tangent: Form that they are of.
+        derivatives: 1 of integrals of gradients, 0 of values.
+        degree: Of the rule.
+    """
+    V, domain = tangent.arguments()[0].ufl_function_space(), tangent.ufl_domain()
+    cell = getattr(basix.CellType, _dolfinx.cell_name(domain.ufl_cell()))
+    rows = V.dofmap.bs * (V.mesh.topology.dim if derivatives else 1)
+    element = basix.ufl.quadrature_element(cell, degree=degree)
+    values = basix.ufl.blocked_element(element, shape=(rows * (rows + 1) // 2,))
+    test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
+    made = [ufl.inner(moduli_of(i, tangent, derivatives), test) for i in integrals]
+    pairs = zip(integrals, made, strict=True)
+    return ufl.Form([i.reconstruct(integrand=m) for i, m in pairs])

@@ -17,7 +17,7 @@ import pytest
 import ufl
 from conftest import ROOT
 
-from demos.pages import responses, turning
+from demos.pages import responses
 from variform import forms, meshes
 
 OUTSIDE = ("results", "build", "dist")  # what runs write
@@ -375,29 +375,6 @@ def test_the_citation_has_what_its_format_requires():
     for author in citation["authors"]:
         assert author.get("name") or (author.get("family-names") and author.get("given-names"))
     assert all(isinstance(citation[key], str) for key in ("message", "title", "version", "license"))
-
-
-@pytest.mark.parametrize("name", turning.TURNED)
-def test_bodies_to_turn_are_those_of_the_pictures(name):
-    """Beside each picture there is a small surface: triangles of its points, colors, edges."""
-    file = ROOT / "demos" / "figures" / f"{name}.npz"
-    assert file.with_suffix(".png").is_file() and file.stat().st_size <= 150_000
-    surface = turning.Surface.load(file)
-    number = len(surface.colors)
-    assert 100 < len(surface.triangles) <= turning.MOST and len(surface.lines)
-    assert set(surface.triangles.ravel()) == set(range(number))
-    assert 0 <= surface.lines.min() and surface.lines.max() < len(surface.points)
-    assert surface.limits[0] < surface.limits[1] and surface.label
-    assert np.isfinite(surface.points).all() and np.ptp(surface.points, axis=0).min() > 0
-
-
-@pytest.mark.parametrize(("name", "volume"), [("torsion", np.pi), ("bar", 10.0)])
-def test_an_incompressible_body_to_turn_has_its_volume(name, volume):
-    """Deformed, and with its triangles all the same way around: sum of x . (y x z) / 6."""
-    surface = turning.Surface.load(ROOT / "demos" / "figures" / f"{name}.npz")
-    x, y, z = (surface.points[surface.triangles[:, k]] for k in range(3))
-    found = np.sum(x * np.cross(y, z)) / 6
-    assert abs(found) == pytest.approx(volume, rel=0.01)
 
 
 def test_workflows_run_what_there_is():

@@ -25,7 +25,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import basix
-import basix.ufl
 import ffcx.codegeneration.lnodes as tree
 import ffcx.options
 import numpy as np
@@ -42,7 +41,7 @@ from variform.forms.differentiation import dependents, expanded
 from variform.forms.entities import with_owned_entities
 from variform.forms.native import canonical
 from variform.forms.quadrature import with_quadrature
-from variform.forms.splitting import moduli_of, split
+from variform.forms.splitting import form_of_moduli, split
 
 from .peers.problem import LMBDA, MU, STEPS, STRETCH, TWIST
 from .record import Table, insert, machine, markdown, median_times
@@ -114,18 +113,13 @@ def count(node):
     return inner + isinstance(node, tree.MathFunction | tree.Conditional | tree.Neg)
 
 
-def moduli_operations(tangent):
-    """Points of a tangent's rule, and operations of the kernel of its moduli; None without."""
-    (((_, degree), own),) = split(tangent)[0].items()
+def of_moduli(tangent):
+    """Points of a tangent's rule, and operations of the kernel of its moduli; None if uncounted."""
+    (((derivatives, degree), own),) = split(tangent)[0].items()
+    points = basix.make_quadrature(tangent.ufl_domain().ufl_cargo().basix_cell(), degree)[1].size
     if dependents(tangent):
-        return None
-    V, domain = tangent.arguments()[0].ufl_function_space(), tangent.ufl_domain()
-    cell = V.mesh.basix_cell()
-    element = basix.ufl.quadrature_element(cell, degree=degree)
-    values = basix.ufl.blocked_element(element, shape=(HALF,))
-    test = ufl.TestFunction(ufl.FunctionSpace(domain, values))
-    made = [i.reconstruct(integrand=ufl.inner(moduli_of(i, tangent, 1), test)) for i in own]
-    return operations(ufl.Form(made))
+        return points, None
+    return points, operations(form_of_moduli(own, tangent, derivatives, degree))
 
 
 def limits(problem, stored):
@@ -140,18 +134,13 @@ def limits(problem, stored):
     found["tangent"] = given + 24 * stored, None
     found["product"] = 12 * stored + 20 * problem.size, 2 * stored / cells
     if form.moduli is not None:
-        points = basix.make_quadrature(mesh.basix_cell(), _degree(form.tangent_ufl))[1].size
-        kernel, blocks = moduli_operations(form.tangent_ufl), nodes * (nodes + 1) // 2
+        (points, kernel), blocks = of_moduli(form.tangent_ufl), nodes * (nodes + 1) // 2
         loops = points * (nodes * ROWS * 18 + blocks * 54)
         found["tangent"] = given + 24 * stored, None if kernel is None else kernel + loops
         if problem.displacement_degree > 1:
             moved = cells * (8 * HALF * points + 4 * nodes) + 32 * problem.size
             found["product"] = moved, points * (4 * 9 * nodes + 2 * ROWS**2)
     return {k: (b, None if f is None else f * cells) for k, (b, f) in found.items()}
-
-
-def _degree(tangent):
-    return next(iter(split(tangent)[0]))[1]
 
 
 def row(element, energy, m):

@@ -136,6 +136,7 @@ LAWS = {
     "environment": "docker/enter, its refusals, OpenBLAS, threads",
     "builds": "docker/enter makes a root once, whoever kills or doubles it",
     "generated": "tables and pictures of the pages follow from the code",
+    "turning": "surfaces of the demos' bodies are kept, small and whole, beside their pictures",
     "pages": "links, code, commands and names of every page are there; forms for contributors",
     "walk": "in a fresh clone all that the pages show is typed, and no file of it changes",
     "browser": "a notebook's solutions and its slider in Chromium (ENTER_SITE=1 docker/enter)",

@@ -24,6 +24,7 @@ def conjugate_gradients(
 
     |x* - x_k|_K^2 = sum_{j >= k} alpha_j r_j . z_j  (Hestenes, Stiefel): the squared error is the
     sum of the decreases to come, here that of a geometric series with the ratio of the last ones.
+    PETSc's CG tells a test of convergence none of its step lengths alpha.
 
     Args:
         A: K, symmetric.

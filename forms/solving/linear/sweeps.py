@@ -74,7 +74,8 @@ class Sweeps:
         if self._record is None or self._state == self._A.stateGet():
             return
         self._state = self._A.stateGet()
-        least = self._lib.sweeps_fill(self._record, *map(self._at, _petsc.owned_part(self._A)))
+        part = _petsc.owned_part(self._A)
+        least = self._lib.sweeps_fill(self._record, *(self._at(array) for array in part))
         self.possible = bool(self._comm.allreduce(least, MPI.MIN) >= LEAST)
 
     def __call__(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec | None = None) -> None:
