@@ -19,6 +19,8 @@ from .differentiation import dependents, expanded
 from .entities import with_owned_entities
 from .native import records
 from .native.lanes import Kernels, kernels
+from .native.library import library
+from .operators.jets import Jet
 from .quadrature import with_quadrature
 
 _CELL = fem.IntegralType.cell
@@ -27,6 +29,9 @@ _CELL = fem.IntegralType.cell
 class Sums:
     """A functional or a linear form: integrals over cells several at a time, others by FFCx's way.
 
+    Of energies in singular values the points of several cells are looked at together, where each
+    cell has but one.
+
     Args:
         form: With at most one argument, a vector of Lagrange elements.
     """
@@ -34,14 +39,24 @@ class Sums:
     def __init__(self, form: ufl.Form) -> None:
         form = with_quadrature(with_owned_entities(expand_derivatives(expanded(form))))
         self._mesh = _dolfinx.cpp_mesh(form.ufl_domain())
-        own: list[Any] = []
+        plain: list[Any] = []
+        beside: list[Any] = []
         rest: list[Any] = []
         for integral in form.integrals():
-            plain = is_over_cells(integral) and not dependents(integral.integrand())
-            (own if plain else rest).append(integral)
-        self._batch = several(ufl.Form(own)) if own else None
-        if self._batch is None:
-            rest = list(form.integrals())
+            found = dependents(integral.integrand())
+            if not is_over_cells(integral) or not all(isinstance(c, Jet) for c in found):
+                rest.append(integral)
+            else:
+                (beside if found else plain).append(integral)
+        batch = several(ufl.Form(plain)) if plain else None
+        self._batches: list[tuple[Any, Any, Batch]] = []
+        if batch is None or batch.found is None:
+            rest += plain
+        else:
+            self._batches.append((batch.found.lib, batch.found.ffi, batch))
+        if beside:
+            made = compiled(ufl.Form(beside))
+            self._batches.append((*library(self._mesh.comm), Batch(vars(made)["_kernels"], made)))
         self._rest = compiled(ufl.Form(rest)) if rest else None
         if form.arguments():
             V: Any = form.arguments()[0].ufl_function_space()
@@ -64,15 +79,13 @@ class Sums:
             lib.cells_add(*arguments, numbers, self._numbers.shape[1], self._size, to)
 
     def _calls(self) -> Iterator[tuple[Any, ...]]:
-        """Library, interface, kernel, part, places and Constants of each integral over cells."""
-        if self._batch is None or self._batch.found is None:
-            return
-        lib, ffi = self._batch.found[:2]
-        constants = self._batch.constants()
-        given = ffi.cast("double *", constants.ctypes.data)
-        places, _kept = records.geometry(ffi, self._mesh)
-        for kernel, (part, _) in zip(self._batch.kernels, self._batch.parts(ffi), strict=True):
-            yield lib, ffi, kernel, part, places, given
+        """Library, interface, part, places and Constants of each integral over cells."""
+        for lib, ffi, batch in self._batches:
+            constants = batch.constants()
+            given = ffi.cast("double *", constants.ctypes.data)
+            places, _kept = records.geometry(ffi, self._mesh)
+            for part, _ in batch.parts(ffi):
+                yield lib, ffi, part, places, given
 
 
 def is_over_cells(integral: Any) -> bool:

@@ -182,6 +182,9 @@ for potential, unknown, field in (
             product = np.zeros_like(u.x.array)
             system.forms.moduli.multiply(u.x.array, product)
             assert np.isfinite(A.norm()) and np.isfinite(product).all()
+            b = system.create_vector()
+            system.residual(b)
+            assert np.isfinite(b.norm()) and np.isfinite(system.energy())
 assert forms.solve(plain * ufl.dx, u, [forms.clamp(u, left)]).completed
 
 
@@ -193,6 +196,9 @@ K = forms.Problem(energies.fixed_corotated(forms.deformation_gradient(v), 1.0, 2
 K.forms.use_moduli()  # of linear simplices: energies in singular values of several cells at a time
 A = K.create_matrix()
 K.tangent(A)
+b = K.create_vector()
+K.residual(b)
+assert b.norm() < 1e-12 and abs(K.energy()) < 1e-12
 x, b, r = A.createVecs()[0], *A.createVecs()
 b.set(1.0)
 sweeps = Sweeps(A)

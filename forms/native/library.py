@@ -37,6 +37,11 @@ typedef struct {
 } part_t;
 typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_t;
 """
+_SUMS = """
+double cells_sum(const part_t *p, const geometry_t *g, const double *constants);
+void cells_add(const part_t *p, const geometry_t *g, const double *constants,
+               const int32_t *numbers, int nodes, int size, double *b);
+"""
 _DECLARATIONS = """
 typedef struct {
   tabulate_t psi; int rows, cols, stretches, plane, improper, smooth, parameters; double clamp;
@@ -105,10 +110,6 @@ typedef void *lanes_kernel_t;
 extern const long cells_sizes[3];
 extern const long lanes_counts[3], lanes_ids[], lanes_coefficients[], lanes_constants[];
 extern const lanes_kernel_t lanes_kernels[];
-double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g,
-                 const double *constants);
-void cells_add(lanes_kernel_t kernel, const part_t *p, const geometry_t *g,
-               const double *constants, const int32_t *numbers, int nodes, int size, double *b);
 """
 _STRUCTURES = (
     "operator_t",
@@ -172,7 +173,7 @@ def cells_library(comm: MPI.Comm, name: str, text: Callable[[], str]) -> tuple[A
     Raises:
         RuntimeError: the compiler is missing or failed; alike on all ranks.
     """
-    return _made(comm, name, text, _CELLS, "cells")
+    return _made(comm, name, text, _SUMS + _CELLS, "cells")
 
 
 def measured(comm: MPI.Comm, name: str, measure: Callable[[], float]) -> float:
@@ -242,7 +243,7 @@ def _build(made: Path, flags: tuple[str, ...], text: str = "") -> Path:
 def _load(path: Path) -> tuple[Any, Any]:
     ffi = cffi.FFI()
     ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
-    ffi.cdef(_INSERTION + _DECLARATIONS)
+    ffi.cdef(_INSERTION + _SUMS + _DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
     ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
     ours += [TOGETHER, MAX_PARTS, MAX_LINE]

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* Sums over cells by a kernel that computes several at once; the text that includes this file has it. */
+/* Sums over cells by kernels that compute several at once; the text that includes this file has them. */
 #ifndef VARIFORM_CELLS_H
 #define VARIFORM_CELLS_H
 
@@ -9,8 +9,9 @@
 const long cells_sizes[] = {sizeof(target_t), sizeof(part_t), sizeof(geometry_t)};
 
 /* Sum of a functional over a part's cells. */
-double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g, const double *constants)
+double cells_sum(const part_t *p, const geometry_t *g, const double *constants)
 {
+  const lanes_kernel_t kernel = lanes_kernel(p);
   lanes_t w[p->width + 1], x[3 * g->nodes], sum = {0};
   for (long first = 0; first < p->count; first += WIDTH) {
     lanes_t A = {0};
@@ -24,9 +25,10 @@ double cells_sum(lanes_kernel_t kernel, const part_t *p, const geometry_t *g, co
 }
 
 /* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components. */
-void cells_add(lanes_kernel_t kernel, const part_t *p, const geometry_t *g, const double *constants,
-               const int32_t *numbers, int nodes, int size, double *b)
+void cells_add(const part_t *p, const geometry_t *g, const double *constants, const int32_t *numbers, int nodes,
+               int size, double *b)
 {
+  const lanes_kernel_t kernel = lanes_kernel(p);
   lanes_t w[p->width + 1], x[3 * g->nodes], A[nodes * size];
   for (long first = 0; first < p->count; first += WIDTH) {
     memset(A, 0, sizeof A);

@@ -42,6 +42,20 @@ typedef struct {
   const double *x;
 } geometry_t;
 
+/* Where up to `most` cells of a part, from `first` on, have coefficients and places, which are put into x; how
+   many they are. */
+static inline int gather_rows(const part_t *p, long first, int most, const geometry_t *g, double *x, const double **w,
+                              const double **places)
+{
+  const int cells = p->count - first < most ? (int)(p->count - first) : most;
+  for (int k = 0; k < cells; k++, x += 3 * g->nodes) {
+    const int32_t *nodes = g->numbers + (long)g->nodes * p->entities[first + k];
+    for (int i = 0; i < g->nodes; i++) memcpy(x + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
+    w[k] = p->coefficients + (first + k) * p->width, places[k] = x;
+  }
+  return cells;
+}
+
 /* Rows and columns of a matrix with blocks of a size, sorted, from those of its blocks' rows. */
 void insertion_rows(int owned, int size, const int64_t *starts, const int64_t *blocks, int32_t *rows, int32_t *columns)
 {

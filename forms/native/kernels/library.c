@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: MIT */
 /* Everything that Python loads: point kernels over arrays, the kernels of cells and facets, insertion,
-   sweeps of a smoother, bounds of the volume ratio. */
+   sums over cells, sweeps of a smoother, bounds of the volume ratio. */
 #include "points.c"
 
 #include "cell.h"
 #include "insertion.h"
+#include "sums.h"
 #include "sweeps.h"
 #include "validity.h"
 

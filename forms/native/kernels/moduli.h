@@ -37,18 +37,14 @@ static void fill_lanes(const part_t *p, long first, const geometry_t *g, const d
     lanes_t w[p->width + 1], x[3 * CORNERS];
     gather_cells(p, first, g, w, x);
     memset(B, 0, NUMBERS * sizeof *B);
-    ((lanes_kernel_t)(void (*)(void))p->kernel)(B, w, constants, x);
+    lanes_kernel(p)(B, w, constants, x);
     return;
   }
   double out[WIDTH][NUMBERS], x[WIDTH][3 * CORNERS], *to[WIDTH];
   const double *w[WIDTH], *places[WIDTH];
-  int cells = 0;
   memset(out, 0, sizeof out);
-  for (; cells < WIDTH && first + cells < p->count; cells++) {
-    const int32_t *nodes = g->numbers + (long)CORNERS * p->entities[first + cells];
-    for (int i = 0; i < CORNERS; i++) memcpy(x[cells] + 3 * i, g->x + 3 * (long)nodes[i], 3 * sizeof(double));
-    to[cells] = out[cells], places[cells] = x[cells], w[cells] = p->coefficients + (first + cells) * p->width;
-  }
+  const int cells = gather_rows(p, first, WIDTH, g, x[0], w, places);
+  for (int k = 0; k < cells; k++) to[k] = out[k];
   moduli_together(p->kernel, cells, to, w, constants, places);
   for (int m = 0; m < NUMBERS; m++)
     for (int k = 0; k < WIDTH; k++) B[m][k] = out[k][m];

@@ -60,6 +60,9 @@ static inline __attribute__((always_inline)) lanes_t lanes_power(lanes_t x, doub
 
 typedef void (*lanes_kernel_t)(lanes_t *, const lanes_t *, const double *, const lanes_t *);
 
+/* The kernel of a part whose kernel computes several cells at once. */
+static inline lanes_kernel_t lanes_kernel(const part_t *p) { return (lanes_kernel_t)(void (*)(void))p->kernel; }
+
 /* Coefficients and places of the cells from `first` on in a part; lanes beyond its end repeat the last. */
 static inline void gather_cells(const part_t *p, long first, const geometry_t *g, lanes_t *w, lanes_t *x)
 {
