@@ -194,18 +194,21 @@ def test_pose(demo):
 
 @pytest.mark.slow
 def test_twist_on_two_ranks_gives_the_numbers_of_one(demo):
-    """Moment and volume ratio at the end to 1e-6, at the default tolerances.
+    """Moment and volume ratio at the default tolerances: where loads are the same, and at the end.
 
-    Steps go by the contraction, which iterative solves know to their tolerance only: they are as
-    long to a twentieth, and the end may take one more.
+    The first steps are alike to the tolerance. Later ones go by the contraction, which
+    iterative solves know to their tolerance only and which partitions of the mesh make another, so
+    that the way may take a quarter more steps or less.
     """
     one, _ = demo("twist")
     two, _ = demo("twist", ranks=2)
-    assert abs(len(one["steps"]) - len(two["steps"])) <= 1
-    for a, b in zip(one["steps"][:-2], two["steps"][:-2], strict=False):
-        assert b["load"] == pytest.approx(a["load"], rel=0.05)
-    assert two["steps"][-1]["load"] == one["steps"][-1]["load"]
-    assert two["steps"][-1]["records"] == pytest.approx(one["steps"][-1]["records"], rel=1e-6)
+    steps, others = one["steps"], two["steps"]
+    assert abs(len(steps) - len(others)) <= len(steps) / 4
+    for n, rel in (*((n, 1e-5) for n in range(5)), (-1, 1e-6)):
+        assert others[n]["load"] == pytest.approx(steps[n]["load"], rel=rel)
+        assert others[n]["records"] == pytest.approx(steps[n]["records"], rel=rel)
+    for run in one, two:
+        assert all(step["negative"] in (0, None) for step in run["steps"]) and not run["events"]
 
 
 @pytest.mark.parametrize("name", DEMOS)
