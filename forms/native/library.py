@@ -240,10 +240,17 @@ def _build(made: Path, flags: tuple[str, ...], text: str = "") -> Path:
 
 
 @cache
-def _load(path: Path) -> tuple[Any, Any]:
+def _interface(declarations: str) -> cffi.FFI:
+    """One for all libraries of a kind: to read the declarations takes 5 ms."""
     ffi = cffi.FFI()
     ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
-    ffi.cdef(_INSERTION + _SUMS + _DECLARATIONS)
+    ffi.cdef(declarations)
+    return ffi
+
+
+@cache
+def _load(path: Path) -> tuple[Any, Any]:
+    ffi = _interface(_INSERTION + _SUMS + _DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
     ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
     ours += [TOGETHER, MAX_PARTS, MAX_LINE]
@@ -260,9 +267,7 @@ def _load(path: Path) -> tuple[Any, Any]:
 
 @cache
 def _load_made(path: Path, declarations: str, kind: str) -> tuple[Any, Any]:
-    ffi = cffi.FFI()
-    ffi.cdef(_TABULATE % (", void *" if _dolfinx.CUSTOM_DATA else ""))
-    ffi.cdef(_INSERTION + declarations)
+    ffi = _interface(_INSERTION + declarations)
     loaded: Any = ffi.dlopen(str(path))
     ours = [ffi.sizeof(name) for name in ("target_t", "part_t", "geometry_t")]
     there = list(getattr(loaded, f"{kind}_sizes"))
