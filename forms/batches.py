@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import basix
+import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -27,56 +29,65 @@ _CELL = fem.IntegralType.cell
 
 
 class Sums:
-    """A functional or a linear form: integrals over cells several at a time, others by FFCx's way.
+    """A functional, or a linear form and a functional: integrals over cells several at a time.
 
-    Of energies in singular values the points of several cells are looked at together, where each
-    cell has but one.
+    Others go FFCx's way. Of energies in singular values the points of several cells are looked at
+    together, where each cell has but one. A linear form and its functional are one kernel, which
+    computes what both depend on once.
 
     Args:
-        form: With at most one argument, a vector of Lagrange elements.
+        functional: Functional.
+        linear: Linear form of a vector of Lagrange elements; None for the functional alone.
     """
 
-    def __init__(self, form: ufl.Form) -> None:
-        form = with_quadrature(with_owned_entities(expand_derivatives(expanded(form))))
-        self._mesh = _dolfinx.cpp_mesh(form.ufl_domain())
-        plain: list[Any] = []
-        beside: list[Any] = []
-        rest: list[Any] = []
-        for integral in form.integrals():
-            found = dependents(integral.integrand())
-            if not is_over_cells(integral) or not all(isinstance(c, Jet) for c in found):
-                rest.append(integral)
-            else:
-                (beside if found else plain).append(integral)
-        batch = several(ufl.Form(plain)) if plain else None
+    def __init__(self, functional: ufl.Form, linear: ufl.Form | None = None) -> None:
+        self._mesh = _dolfinx.cpp_mesh(functional.ufl_domain())
+        V: Any = None if linear is None else linear.arguments()[0].ufl_function_space()
+        plain, beside, rest = _sorted(functional)
+        forces, forces_beside, forces_rest = ([], [], []) if linear is None else _sorted(linear)
+        made = [*plain, *forces] and several(_joined(V, plain, forces))
         self._batches: list[tuple[Any, Any, Batch]] = []
-        if batch is None or batch.found is None:
-            rest += plain
+        if made and made.found is not None:
+            self._batches.append((made.found.lib, made.found.ffi, made))
         else:
-            self._batches.append((batch.found.lib, batch.found.ffi, batch))
-        if beside:
-            made = compiled(ufl.Form(beside))
-            self._batches.append((*library(self._mesh.comm), Batch(vars(made)["_kernels"], made)))
-        self._rest = compiled(ufl.Form(rest)) if rest else None
-        if form.arguments():
-            V: Any = form.arguments()[0].ufl_function_space()
+            rest, forces_rest = rest + plain, forces_rest + forces
+        if beside or forces_beside:
+            batch = one_by_one(_joined(V, beside, forces_beside))
+            self._batches.append((*library(self._mesh.comm), batch))
+        self._rest, self._rest_linear = (
+            compiled(ufl.Form(others)) if others else None for others in (rest, forces_rest)
+        )
+        if V is not None:
             self._numbers, self._size = np.ascontiguousarray(V.dofmap.list, np.int32), V.dofmap.bs
 
     def value(self) -> float:
-        """The functional on this rank. Local."""
-        total = 0.0 if self._rest is None else float(fem.assemble_scalar(self._rest))
+        """The functional on this rank, where there is no linear form. Local."""
+        total = self._others()
         for lib, _, *arguments in self._calls():
             total += lib.cells_sum(*arguments)
         return total
 
     def add(self, b: NDArray[np.float64]) -> None:
         """Add the linear form to values with room for ghosts. Local."""
-        if self._rest is not None:
-            fem.assemble_vector(b, self._rest)
+        self._added(b)
+
+    def add_with_value(self, b: NDArray[np.float64]) -> float:
+        """Add the linear form to values with room for ghosts; return the functional. Local."""
+        return self._others() + self._added(b)
+
+    def _others(self) -> float:
+        return 0.0 if self._rest is None else float(fem.assemble_scalar(self._rest))
+
+    def _added(self, b: NDArray[np.float64]) -> float:
+        """Add the linear form; what the functional has over cells."""
+        if self._rest_linear is not None:
+            fem.assemble_vector(b, self._rest_linear)
+        total = 0.0
         for lib, ffi, *arguments in self._calls():
             numbers = ffi.cast("int32_t *", self._numbers.ctypes.data)
             to = ffi.cast("double *", b.ctypes.data)
-            lib.cells_add(*arguments, numbers, self._numbers.shape[1], self._size, to)
+            total += lib.cells_add(*arguments, numbers, self._numbers.shape[1], self._size, to)
+        return total
 
     def _calls(self) -> Iterator[tuple[Any, ...]]:
         """Library, interface, part, places and Constants of each integral over cells."""
@@ -86,6 +97,41 @@ class Sums:
             places, _kept = records.geometry(ffi, self._mesh)
             for part, _ in batch.parts(ffi):
                 yield lib, ffi, part, places, given
+
+
+def _sorted(form: ufl.Form) -> tuple[list[Any], list[Any], list[Any]]:
+    """Integrals over cells without energies in singular values, those with, and others."""
+    form = with_quadrature(with_owned_entities(expand_derivatives(expanded(form))))
+    plain: list[Any] = []
+    beside: list[Any] = []
+    rest: list[Any] = []
+    for integral in form.integrals():
+        found = dependents(integral.integrand())
+        if not is_over_cells(integral) or not all(isinstance(c, Jet) for c in found):
+            rest.append(integral)
+        else:
+            (beside if found else plain).append(integral)
+    return plain, beside, rest
+
+
+def _joined(V: Any, functional: list[Any], linear: list[Any]) -> ufl.Form:
+    """One form, linear in a field's test function and in one number of each cell behind it.
+
+    The functional itself where V is None.
+    """
+    if V is None:
+        return ufl.Form(functional)
+    cell = getattr(basix.CellType, _dolfinx.cell_name(V.ufl_domain().ufl_cell()))
+    number = basix.ufl.element("DG", cell, 0)
+    element = basix.ufl.mixed_element([V.ufl_element(), number])
+    test, one = ufl.split(ufl.TestFunction(ufl.FunctionSpace(V.ufl_domain(), element)))
+    made = [
+        i.reconstruct(integrand=ufl.replace(i.integrand(), {v: test}))
+        for i in linear
+        for v in ufl.Form([i]).arguments()
+    ]
+    made += [i.reconstruct(integrand=one * i.integrand()) for i in functional]
+    return expand_derivatives(ufl.Form(made))
 
 
 def is_over_cells(integral: Any) -> bool:

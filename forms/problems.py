@@ -177,6 +177,18 @@ class Problem:
         self._add_residual(b)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
+    def energy_and_residual(self, b: PETSc.Vec) -> float:
+        """Assemble the residual at u into b, as :meth:`residual`; the energy there [J]. Collective.
+
+        For less than both by themselves. 0 where only a residual was given.
+        """
+        energy = self.forms.energy_and_residual(self._empty(b)) or 0.0
+        for term in self.terms[1:]:
+            energy += term.energy() or 0.0
+            term.residual(b)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return energy
+
     def lifted_residual(self, b: PETSc.Vec) -> None:
         """Assemble R + K (prescribed - u) into b: the residual after a linear move to the supports.
 
@@ -194,11 +206,16 @@ class Problem:
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def _add_residual(self, b: PETSc.Vec) -> None:
+        self._empty(b)
+        for term in self.terms:
+            term.residual(b)
+
+    def _empty(self, b: PETSc.Vec) -> PETSc.Vec:
+        """Prepare the terms, and a vector for their residuals."""
         self.prepare()
         with b.localForm() as local:
             local.set(0)
-        for term in self.terms:
-            term.residual(b)
+        return b
 
     def tangent(self, A: PETSc.Mat, projected: bool = False) -> None:
         """Assemble the tangent at u into A, supported rows and columns those of identity.

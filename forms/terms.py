@@ -133,7 +133,7 @@ class FormTerm:
         self.residual_form, self.tangent_form = compiled(R), compiled(K)
         self.projected_form: fem.Form | None = None
         self.moduli: Moduli | None = None
-        self._sums: tuple[Sums, Sums] | None = None  # energy and residual
+        self._sums: tuple[Sums, Sums] | None = None  # energy; residual with energy
         self._action: fem.Form | None = None
         self._dependents: list[Dependent] = [c for c in found if not isinstance(c, Jet)]
         self.constants = tuple(c for part in parts for c in extract_constants(part))
@@ -173,6 +173,18 @@ class FormTerm:
             return
         with b.localForm() as local:
             self._sums[1].add(local.array)
+
+    def energy_and_residual(self, b: PETSc.Vec) -> float | None:
+        """Add the residual at u, as :meth:`residual`; the energy there, in one pass over the cells.
+
+        None where only a residual was given. Collective.
+        """
+        if self._sums is None:
+            self.residual(b)
+            return self.energy()
+        with b.localForm() as local, np.errstate(all="ignore"):
+            own = self._sums[1].add_with_value(local.array)
+        return float(self._u.function_space.mesh.comm.allreduce(own))
 
     def lift(self, b: PETSc.Vec, x: PETSc.Vec | None = None) -> None:
         """Add K (prescribed - x), x = u if not given, of entries at supports, by their cells alone.
@@ -214,7 +226,8 @@ class FormTerm:
         if self.moduli is None and self.symmetric:
             moduli = Moduli(self.tangent_ufl)
             if moduli.rules:
-                self.moduli, self._sums = moduli, (Sums(self.potential), Sums(self.residual_ufl))
+                both = Sums(self.potential, self.residual_ufl)
+                self.moduli, self._sums = moduli, (Sums(self.potential), both)
 
     def prepare_projection(self) -> None:
         """Compile the projected tangent, once. Collective.

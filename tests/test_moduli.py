@@ -118,10 +118,12 @@ def sums_agree(psi, u):
     """Energy and residual of our loops are those of DOLFINx's, 1e-14 and 1e-13 of the largest."""
     R = forms.residual(psi, u)
     b = fem.assemble_vector(forms.compiled(R)).array
-    found = np.zeros_like(b)
-    Sums(R).add(found)
-    assert found == pytest.approx(b, abs=1e-13 * np.abs(b).max())
     value = fem.assemble_scalar(forms.compiled(psi))
+    both, found, again = Sums(psi, R), np.zeros_like(b), np.zeros_like(b)
+    assert both.add_with_value(found) == pytest.approx(value, rel=1e-14)
+    assert found == pytest.approx(b, abs=1e-13 * np.abs(b).max())
+    both.add(again)
+    assert np.array_equal(again, found)
     assert Sums(psi).value() == pytest.approx(value, rel=1e-14)
 
 
@@ -156,7 +158,7 @@ def test_operators_of_several_cells_are_looked_at_side_by_side(dim, width, monke
     x, product = np.ones_like(u.x.array), np.zeros_like(u.x.array)
     moduli.multiply(x, product)
     forces = np.zeros_like(product)
-    Sums(R).add(forces)
+    assert Sums(psi, R).add_with_value(forces) == np.inf
     for found in product, forces:
         lost = ~np.isfinite(found.reshape(-1, dim)).all(axis=1)
         assert set(np.flatnonzero(lost)) == set(last)
@@ -283,9 +285,9 @@ def test_functions_without_vectors_are_computed_cell_by_cell():
     assert Moduli(forms.tangent(R, u)).rules[0]._batch.found is None
     assert difference(forms.tangent(R, u), u) < 1e-14
     b = fem.assemble_vector(forms.compiled(R)).array
-    found = np.zeros_like(b)
-    Sums(R).add(found)
-    assert np.array_equal(found, b)
+    both, found = Sums(psi, R), np.zeros_like(b)
+    assert both.add_with_value(found) == fem.assemble_scalar(forms.compiled(psi))
+    assert np.array_equal(found, b) and not both._batches
 
 
 def test_matrices_too_large_for_the_stack_have_no_moduli():

@@ -39,8 +39,8 @@ typedef struct { int nodes; const int32_t *numbers; const double *x; } geometry_
 """
 _SUMS = """
 double cells_sum(const part_t *p, const geometry_t *g, const double *constants);
-void cells_add(const part_t *p, const geometry_t *g, const double *constants,
-               const int32_t *numbers, int nodes, int size, double *b);
+double cells_add(const part_t *p, const geometry_t *g, const double *constants,
+                 const int32_t *numbers, int nodes, int size, double *b);
 """
 _DECLARATIONS = """
 typedef struct {

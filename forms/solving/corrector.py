@@ -254,21 +254,20 @@ class Corrector:
         self.newton.tangent.scaled.put(y)
 
     def _function(self, snes: PETSc.SNES, z: PETSc.Vec, f: PETSc.Vec) -> None:
-        problem, scaled = self.problem, self.newton.tangent.scaled
+        problem, scaled, energy = self.problem, self.newton.tangent.scaled, 0.0
         self._put(z)
         if self._lift:
             problem.lifted_residual(self._b)
             self._b.pointwiseMult(self._b, scaled.D)
             problem.clear(self._b.array)
         else:
-            self.newton.criteria.reactions = scaled.residual(self._b)
-        # ln J with J < 0 spoils the energy before every part of the residual.
-        sound = self._lift or not problem.has_energy or np.isfinite(problem.energy())
+            energy, self.newton.criteria.reactions = scaled.energy_and_residual(self._b)
         if self.border is None:
             self._b.copy(f)
         else:
             self.border.join(self._b, self.border.errors(self._weight), f)
-        if not sound:
+        # ln J with J < 0 spoils the energy before every part of the residual.
+        if not np.isfinite(energy):
             f.set(np.nan)
 
     def _jacobian(self, snes: PETSc.SNES, z: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:

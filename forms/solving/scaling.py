@@ -125,6 +125,15 @@ class Scaled:
     def residual(self, b: PETSc.Vec) -> float:
         """Assemble the forces at free degrees of freedom into b; norm of those at supports [N]."""
         self.problem.residual(b)
+        return self._scaled(b)
+
+    def energy_and_residual(self, b: PETSc.Vec) -> tuple[float, float]:
+        """Energy [J], and what :meth:`residual` returns. Collective."""
+        energy = self.problem.energy_and_residual(b)
+        return energy, self._scaled(b)
+
+    def _scaled(self, b: PETSc.Vec) -> float:
+        """Leave out the forces at supports, of which the norm is returned."""
         b.pointwiseMult(b, self.D)
         held = self.problem.held_part(b.array_r)
         # A trial state may be so far off that its forces overflow; it is refused as not finite.

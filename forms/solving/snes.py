@@ -222,15 +222,16 @@ class Runs:
         return self._known[1]
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        problem = self.problem
-        self.tangent.scaled.put(x)
+        scaled, energy = self.tangent.scaled, 0.0
+        scaled.put(x)
+        if self.merit is Merit.ENERGY:
+            self.criteria.reactions = scaled.residual(self.b)
+        else:
+            energy, self.criteria.reactions = scaled.energy_and_residual(self.b)
+        self.b.copy(f)
         # A state without a finite energy is refused also where the search goes by |R|: ln J with
         # J < 0 spoils the energy before every part of the residual.
-        sound = self.merit is Merit.ENERGY or not problem.has_energy
-        sound = sound or np.isfinite(problem.energy())
-        self.criteria.reactions = self.tangent.scaled.residual(self.b)
-        self.b.copy(f)
-        if not sound:
+        if not np.isfinite(energy):
             f.set(np.nan)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:

@@ -24,12 +24,14 @@ double cells_sum(const part_t *p, const geometry_t *g, const double *constants)
   return total;
 }
 
-/* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components. */
-void cells_add(const part_t *p, const geometry_t *g, const double *constants, const int32_t *numbers, int nodes,
-               int size, double *b)
+/* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components.
+   The sum of what the kernels give behind: a functional. */
+double cells_add(const part_t *p, const geometry_t *g, const double *constants, const int32_t *numbers, int nodes,
+                 int size, double *b)
 {
   const lanes_kernel_t kernel = lanes_kernel(p);
-  lanes_t w[p->width + 1], x[3 * g->nodes], A[nodes * size];
+  lanes_t w[p->width + 1], x[3 * g->nodes], A[nodes * size + 1];
+  double sum = 0;
   for (long first = 0; first < p->count; first += WIDTH) {
     memset(A, 0, sizeof A);
     gather_cells(p, first, g, w, x);
@@ -38,8 +40,10 @@ void cells_add(const part_t *p, const geometry_t *g, const double *constants, co
       const int32_t *n = numbers + nodes * (long)p->entities[first + k];
       for (int i = 0; i < nodes; i++)
         for (int a = 0; a < size; a++) b[size * (long)n[i] + a] += A[size * i + a][k];
+      sum += A[nodes * size][k];
     }
   }
+  return sum;
 }
 
 #endif

@@ -31,19 +31,22 @@ double cells_sum(const part_t *p, const geometry_t *g, const double *constants)
   return sum;
 }
 
-/* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components. */
-void cells_add(const part_t *p, const geometry_t *g, const double *constants, const int32_t *numbers, int nodes,
-               int size, double *b)
+/* Add a linear form over a part's cells to b; numbers: of the `nodes` nodes of each cell, of `size` components.
+   The sum of what the kernels give behind: a functional. */
+double cells_add(const part_t *p, const geometry_t *g, const double *constants, const int32_t *numbers, int nodes,
+                 int size, double *b)
 {
-  const int total = nodes * size;
-  double A[MOST_CELLS * total];
+  const int total = nodes * size, length = total + 1;
+  double sum = 0, A[MOST_CELLS * length];
   for (long first = 0; first < p->count; first += MOST_CELLS) {
-    const int cells = call_together(p, first, g, constants, total, A);
+    const int cells = call_together(p, first, g, constants, length, A);
     for (int k = 0; k < cells; k++) {
       const int32_t *n = numbers + nodes * (long)p->entities[first + k];
-      for (int i = 0; i < total; i++) b[size * (long)n[i / size] + i % size] += A[k * total + i];
+      for (int i = 0; i < total; i++) b[size * (long)n[i / size] + i % size] += A[k * length + i];
+      sum += A[k * length + total];
     }
   }
+  return sum;
 }
 
 #endif
