@@ -13,6 +13,9 @@ from cases import at_plane
 from dolfinx import fem
 
 from variform import forms, meshes
+from variform.forms.measured import measured
+from variform.forms.solving.linearized import Linearized
+from variform.forms.solving.rates import Rates
 
 TIGHT = {"rtol": 1e-12, "ctol": 1e-10, "progress": False}
 ROWS = [(0.2, -0.05), (0.5, 0.1), (0.3, 0.4)]  # mean elongations of a block
@@ -63,16 +66,21 @@ def test_mean_stretches_by_as_many_tractions(dim, count):
     assert [step.load for step in path.steps] == path.record("q")[:, 0].tolist()
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_the_ledger_closes_around_corners(dim):
-    """Work of both tractions is what is stored, to a thousandth, where the way bends, too."""
+@pytest.mark.parametrize(("dim", "unit"), [(2, 1.0), (3, 1.0), (2, 1e-6)])
+def test_the_ledger_closes_around_corners(dim, unit):
+    """Work of both tractions is what is stored, where the way bends, too, in any units.
+
+    Six targets on each leg make polynomials of degree 5 and 3e-7; over the corners it is 1e-4.
+    """
     corners = np.array([(0.0, 0.0), *ROWS, (0.0, 0.0)])
     shares = np.linspace(0.0, 1.0, 7)[1:, None]
     rows = [a + shares * (b - a) for a, b in pairwise(corners)]
-    path = Block(dim).control(np.concatenate(rows))
+    block = Block(dim)
+    block.means[1] = unit * block.means[1]
+    path = block.control(np.concatenate(rows) * (1.0, unit))
     stored = sum(row.stored for row in path.ledger)
-    assert path.ledger.missed < 1e-3 * path.ledger.exchanged and path.ledger.exchanged > 0.3
-    assert abs(stored) < 1e-3 * path.ledger.exchanged  # at rest again
+    assert path.ledger.missed < 2e-6 * path.ledger.exchanged and path.ledger.exchanged > 0.3
+    assert abs(stored) < 1e-6 * path.ledger.exchanged  # at rest again
     assert "Unaccounted" not in path.reason
 
 
@@ -185,6 +193,11 @@ def test_a_force_and_a_moment_guide_an_end():
     F, m = path.steps[-1].records["q"]
     assert m / 12 == pytest.approx(F * length / 2, rel=2e-3)
     assert abs(forms.integral(turn)) < 1e-10
+    assert sum(step.convergence.iterations for step in path.steps) < 10
+    # From a turn that is 0 to the tolerance only.
+    on = forms.control(problem, None, (), [force, moment], [down, turn], [(0.03, 0.0)], **TIGHT)
+    assert on.load == pytest.approx(1.5 * F, rel=1e-3)
+    assert on.steps[0].convergence.iterations < 6
     moved = u.x.array.copy()
     u.x.array[:] = 0
     forms.solve(problem, rtol=1e-12, ctol=1e-10)
@@ -210,10 +223,18 @@ def test_a_path_broken_off_goes_on_bit_by_bit(lead, tmp_path):
 
 
 def test_gradients_hold_both_functionals():
-    """J(m + h dm) = J(m) + h dJ/dm dm + O(h^2), both mean stretches kept; forward as backward."""
+    """J(m + h dm) = J(m) + h dJ/dm dm + O(h^2), both functionals kept; forward as backward.
+
+    The functionals are not those that the tractions work on, and one contains q and mu.
+    """
     block = Block(3, cells="tetrahedron")
-    x = ufl.SpatialCoordinate(block.u.function_space.mesh)
-    weighted = (1 + x[0]) * ufl.inner(block.u, block.u) * ufl.dx
+    mesh = block.u.function_space.mesh
+    weighted = (1 + ufl.SpatialCoordinate(mesh)[0]) * ufl.inner(block.u, block.u) * ufl.dx
+    first, second = block.means
+    block.means = [
+        first + 0.5 * second + 0.1 * block.mu * block.q[1] * ufl.dx(domain=mesh),
+        second,
+    ]
     m = [block.mu, block.lmbda]
 
     def solve():
@@ -230,6 +251,42 @@ def test_gradients_hold_both_functionals():
     remainders = [np.abs(values(h) - before - h * np.array(slopes)) for h in (0.04, 0.02, 0.01)]
     for rest in np.transpose(remainders):
         assert np.log2(np.divide(rest[:-1], rest[1:])) == pytest.approx(2, abs=0.1)
+    values(0.0)
+    found = [measured(J, block.problem, path.held, "this") for J in (weighted, *block.q)]
+    with Linearized(block.problem) as linear:
+        columns = Rates(block.problem, found, m, path.held)(linear)[1]
+    forward = np.concatenate(columns) @ np.array([0.3, -0.5])
+    assert forward == pytest.approx(slopes, rel=1e-8)
+
+
+def test_pressures_that_follow_are_found_again():
+    """By an unsymmetric tangent: what two pressures without a potential move, finds them."""
+    body = meshes.block(MPI.COMM_SELF, (2.0, 1.0), n=(4, 2), cells="quadrilateral")
+    u, p = forms.displacement(body), [fem.Constant(body.mesh, x) for x in (0.1, -0.2)]
+    v, mu = ufl.TestFunction(u.function_space), fem.Constant(body.mesh, 1.0)
+    psi = forms.energies.neo_hookean(forms.deformation_gradient(u), mu, 2.0) * ufl.dx
+    work = forms.follower_pressure(u, p[0], v, body.ds("top"))
+    work += forms.follower_pressure(u, p[1], v, body.ds("right"))
+    held = [forms.clamp(u, body.facets("left"))]
+    problem = forms.Problem(psi, u, held, virtual_work=work)
+    means = [u[1] * body.ds("top"), u[0] * body.ds("right")]
+    forms.solve(problem, rtol=1e-12, ctol=1e-10)
+    targets = np.array([forms.integral(mean) for mean in means])
+
+    def values(h):
+        u.x.array[:], mu.value = 0, 1.0 + h
+        for each in p:
+            each.value = 0.0
+        path = forms.control(problem, None, (), p, means, targets * [[0.5], [1.0]], **TIGHT)
+        return np.array([*path.steps[-1].records["q"]]), path
+
+    before, path = values(0.0)
+    assert before == pytest.approx([0.1, -0.2], rel=1e-9)
+    assert path.ledger.exchanged > 1e-2 and path.steps[-1].convergence.negative is None
+    slopes = np.array([forms.gradient(path, each, mu) for each in p])
+    rest = [np.abs(values(h)[0] - before - h * slopes) for h in (0.04, 0.02, 0.01)]
+    rates = np.log2(np.divide(rest[:-1], rest[1:]))
+    assert rates == pytest.approx(np.full((2, 2), 2), abs=0.1)
 
 
 def test_a_fit_to_both_tractions(tmp_path):

@@ -25,6 +25,7 @@ from ..pace import Pace
 from .continuation import Continuation
 
 LEAST = 1e-4  # of the way to a target, below which a step ends the path
+STILL = 1e-6  # of a functional's size, below which its range is what tolerances have left
 BEND = 0.3  # change of the way's direction, from which on targets are a corner and no curve
 
 
@@ -81,7 +82,8 @@ class Targets(Continuation):
 
     The place is how far the functional has come, there and back included. Several go together,
     along straight lines; the place is then how far the one has come that goes farthest, each over
-    the range of its values.
+    the range of its values. Where the lines turn by little they follow a curve, along which the
+    path is extrapolated and its work integrated; at a corner both begin anew.
 
     Args:
         path: Path of the problem.
@@ -108,15 +110,24 @@ class Targets(Continuation):
         self._ranges: Values = np.ones(len(self._held))
         if len(self._held) > 1:
             border.check()
-            spans = np.ptp(ends, axis=0)
-            self._ranges = np.where(spans > 0, spans, 1.0)
-            for held, span in zip(self._held, spans, strict=True):
-                held.span = float(span) or held.reach()
+            self._measure(ends)
         way = float(sum(map(self._length, np.diff(ends, axis=0)))) or 1.0
         pace = Pace(way, 0.0, settings=newton.settings)
         self._border, self.total = border, float(len(targets))
         self._reached, self._started = 0.0, False
         super().__init__(path, newton, Corrector(newton, border), border.q, pace, way, 1.0)
+
+    def _measure(self, ends: Values) -> None:
+        """Find how far each of several functionals goes, and which stand still. Collective."""
+        spans, sizes = np.ptp(ends, axis=0), np.abs(ends).max(axis=0)
+        reaches = np.array([held.reach() for held in self._held])
+        moving = spans > STILL * np.maximum(sizes, reaches)
+        if not moving.any():
+            moving = spans > 0
+        self._ranges = np.where(moving, spans, np.inf)
+        at_zero = ~moving & (sizes <= STILL * reaches)
+        for held, span in zip(self._held, np.where(at_zero, reaches, spans), strict=True):
+            held.span = float(span)
 
     def _length(self, change: Values) -> float:
         """How far the functionals go by a change of theirs."""
@@ -202,7 +213,7 @@ class Targets(Continuation):
         return self._length(after - before) > BEND
 
     def _cut_account(self) -> None:
-        """Have the ledger integrate what comes by itself: q has a kink here."""
+        """Have the ledger integrate what comes by itself: the scalars have a kink here."""
         if self._accounts is not None and self.path.balances:
             self.path.balances.append(self.path.balances[-1]._replace(kind=KINK, work=0.0))
             self._accounts.cut()
