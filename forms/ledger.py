@@ -2,8 +2,9 @@
 """Where every joule of a path went: energies and powers of its states, and what does not add up.
 
 Between two states of a path, dPi = int (Pi_q dq + R . du_p) + work of virtual works; Pi the total
-potential, q the load factor, R . du_p the work of the reactions R on prescribed values u_p. What is
-left over is the integration rule's error, or energy that a jump released.
+potential, q the load factor (or several scalars, Pi_q dq a sum over them), R . du_p the work of the
+reactions R on prescribed values u_p. What is left over is the integration rule's error, or energy
+that a jump released.
 
 Powers f are integrated by polynomials in s, in f, or in both together, s/ds + f/df over the states
 around: where a load comes to its largest value no power is a polynomial of it, but it is one of
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import product
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -39,6 +41,7 @@ class Balance(NamedTuple):
         kind: "" for a step of a path; "start" for one out of a singular state and "jump" for one
             on purpose; "kink" for the same state once more, with the powers behind it, where the
             load program bends; "between" for one within a step, solved for the account alone.
+        others: q and Pi_q of each further scalar.
     """
 
     place: float
@@ -48,11 +51,27 @@ class Balance(NamedTuple):
     power: float
     work: float = 0.0
     kind: str = ORDINARY
+    others: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Every q."""
+        return (self.load, *(q for q, _ in self.others))
+
+    @property
+    def slopes(self) -> tuple[float, ...]:
+        """Pi_q by every q."""
+        return (self.slope, *(slope for _, slope in self.others))
 
     @property
     def linear(self) -> float:
         """What of the potential is linear in the load factor [J]."""
-        return self.load * self.slope
+        return sum(self.linears)
+
+    @property
+    def linears(self) -> tuple[float, ...]:
+        """The same of every q."""
+        return tuple(q * slope for q, slope in zip(self.loads, self.slopes, strict=True))
 
 
 class Row(NamedTuple):
@@ -203,17 +222,24 @@ def verdict(balances: Sequence[Balance], chord: tuple[float, float], floor: floa
             model's size.
     """
     a, b = balances[-2:]
-    ds, dq = b.place - a.place, b.load - a.load
-    ends = [each.slope * dq + each.power * ds for each in (a, b)]
-    low, high = min(ends) + min(chord), max(ends) + max(chord)
-    change, linear = b.energy - a.energy, b.linear - a.linear
-    scale = max(abs(low), abs(high), abs(linear), floor)
-    outside = _outside(change, low, high)
-    if not (a.power or b.power):
-        # Near an extremum of the load factor q its change tells nothing, but that of Pi_q does.
-        ends = [-each.load * (b.slope - a.slope) for each in (a, b)]
-        low, high = min(ends) + min(chord), max(ends) + max(chord)
-        outside = min(outside, _outside(change - linear, low, high))
+    ds, change, linear = b.place - a.place, b.energy - a.energy, b.linear - a.linear
+    outside, scale = np.inf, max(abs(linear), floor)
+    # Near an extremum of a load factor q its change tells nothing, but that of Pi_q does.
+    ways = (False,) if a.power or b.power else (False, True)
+    for turned in product(ways, repeat=len(a.loads)):
+        low, high, rest = min(chord), max(chord), change
+        for n, by_slope in enumerate(turned):
+            dq, slopes = b.loads[n] - a.loads[n], (a.slopes[n], b.slopes[n])
+            ends = [each * dq for each in slopes]
+            if by_slope:
+                ends = [-q * (slopes[1] - slopes[0]) for q in (a.loads[n], b.loads[n])]
+                rest -= b.linears[n] - a.linears[n]
+            if n == 0:
+                ends = [ends[0] + a.power * ds, ends[1] + b.power * ds]
+            low, high = low + min(ends), high + max(ends)
+        if not any(turned):
+            scale = max(scale, abs(low), abs(high))
+        outside = min(outside, _outside(rest, low, high))
     line = sum(_work((a, b), 1))
     if len(balances) > 2:
         doubt = sum(_work(balances[-3:], 2)) - line
@@ -266,8 +292,9 @@ def _work_within(balances: Sequence[Balance], n: int) -> tuple[float, float]:
 def _coordinates(nodes: Sequence[Balance]) -> list[NDArray[np.float64]]:
     """Places of states; and powers, alone and with places, where these grow or fall throughout."""
     s = np.array([node.place for node in nodes])
-    way = np.sign(nodes[-1].load - nodes[0].load)
-    f = np.array([way * node.slope + node.power for node in nodes])
+    way = np.array(nodes[-1].loads) - np.array(nodes[0].loads)
+    way = way / (np.abs(way).max() or 1.0)
+    f = np.array([float(way @ node.slopes) + node.power for node in nodes])
     steps = np.diff(f)
     if len(nodes) < 3 or not (np.all(steps > 0) or np.all(steps < 0)):
         return [s]
@@ -284,10 +311,11 @@ def _integrals(nodes: Sequence[Balance], x: NDArray[np.float64], at: int) -> tup
     """The same by polynomials in a coordinate x of the states."""
     s, q, slope, power = (
         np.array([getattr(each, name) for each in nodes])
-        for name in ("place", "load", "slope", "power")
+        for name in ("place", "loads", "slopes", "power")
     )
     by_change = weights(x, x[at - 1], x[at])
-    return float(slope @ by_change @ q), float(power @ by_change @ s)
+    explicit = sum(float(f @ by_change @ g) for f, g in zip(slope.T, q.T, strict=True))
+    return explicit, float(power @ by_change @ s)
 
 
 def weights(x: NDArray[np.float64], a: float, b: float) -> NDArray[np.float64]:

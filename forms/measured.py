@@ -207,7 +207,7 @@ class Displacements:
 
 
 class Scalar:
-    """The scalar that ``control`` has found, as a value."""
+    """A scalar that ``control`` has found, as a value."""
 
     def __init__(self, q: fem.Constant) -> None:
         self.q, self.size = q, 1
@@ -267,6 +267,12 @@ class Functional:
 def measured(J: Any, problem: Problem, border: Any, what: str) -> Any:
     """What is differentiated, as one of the above.
 
+    Args:
+        J: What is given.
+        problem: Whose solution it is measured on.
+        border: Scalars that are found, then the functionals that they hold, if any.
+        what: Who asks, for messages.
+
     Raises:
         ValueError: it is none of them.
     """
@@ -274,7 +280,7 @@ def measured(J: Any, problem: Problem, border: Any, what: str) -> Any:
         return J
     if isinstance(J, ufl.Form):
         return Functional(J, problem)
-    if border is not None and J is border[0]:
+    if border is not None and any(J is q for q in border[: len(border) // 2]):
         return Scalar(J)
     raise ValueError(
         f"{what} differentiates a functional (a UFL form), a forms.Reaction, or the scalar that "

@@ -9,7 +9,6 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
-import ufl
 from dolfinx import fem
 
 from .barriers import Clearance
@@ -162,7 +161,7 @@ class Path:
         floor: Energy [J] that tolerances leave unknown.
         accounts: Rows of the ledger that are known step by step, those of motions.
         velocity, acceleration: Of a motion at its last time; None in statics.
-        held: Scalar that was found and functional that it holds at a value, after ``control``.
+        held: Scalars that were found, then the functionals that they hold, after ``control``.
     """
 
     u: fem.Function
@@ -181,7 +180,7 @@ class Path:
     accounts: Ledger = field(default_factory=Ledger)
     velocity: fem.Function | None = None
     acceleration: fem.Function | None = None
-    held: tuple[fem.Constant, ufl.Form] | None = None
+    held: tuple[Any, ...] | None = None
 
     @property
     def ledger(self) -> Ledger:

@@ -66,6 +66,8 @@ LAWS = {
     "quadrature": "which degree an integrand gets, the same wherever forms compile; one point is "
     "exact for P1; the order of convergence stays",
     "control": "a balloon past its limit point, a load found from a displacement",
+    "controls_several": "two scalars by two functionals: mean stretches, chambers, a guided end in "
+    "closed form; limit points and bifurcations told apart, ledger, restart, gradients, fit, ranks",
     "sheets": "tension fields against closed forms, bending of a stretched sheet, flat starts, "
     "Hencky's disk, weight, enclosed gas, a balloon's stability",
     "paths": "arch and frame against published paths, PETSc's arc length, Euler's column and the "

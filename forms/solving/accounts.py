@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from petsc4py import PETSc
@@ -35,15 +36,15 @@ class Accounts:
 
     Args:
         problem: Problem with a potential.
-        q: Load factor, or another scalar unknown.
+        q: Load factor, or the scalar unknowns in its place.
         span: How far q goes, or its size: a measure for difference quotients.
     """
 
-    def __init__(self, problem: Problem, q: fem.Constant, span: float) -> None:
-        self.problem, self._q, self._h = problem, q, SMALL * span
-        self._explicit = problem.forms.hides_constants
-        self._explicit |= any(c is q for c in problem.forms.constants)
-        self._moving = any(support.depends_on(q) for support in problem.supports)
+    def __init__(self, problem: Problem, q: Sequence[fem.Constant], span: float) -> None:
+        self.problem, self._q, self._h = problem, tuple(q), SMALL * span
+        hidden, constants = problem.forms.hides_constants, problem.forms.constants
+        self._explicit = [hidden or any(c is each for c in constants) for each in q]
+        self._moving = any(support.depends_on(q[0]) for support in problem.supports)
         virtual = problem.forms.virtual_work
         self._virtual = None if virtual is None else compiled(virtual)
         self._b = problem.create_vector()
@@ -62,32 +63,38 @@ class Accounts:
             way: Change of the load factor by the place, where supports depend on it.
             side: 1 or -1 for quotients above or below the load factor alone, where it has a kink.
         """
-        problem, q = self.problem, float(self._q.value)
-        energy, slope, power = problem.energy(), 0.0, 0.0
-        if self._moving:
-            power = self._supports(q, side) * way
-        if self._explicit:
-            for offset, weight in _quotient(side):
-                slope += weight / self._h * self._energy_at(q + offset * self._h)
-        self._q.value = q
-        return Balance(place, q, energy, slope, power)
+        energy = self.problem.energy()
+        power = self._supports(side) * way if self._moving else 0.0
+        loads = [float(c.value) for c in self._q]
+        slopes = [
+            self._slope(c, side) if explicit else 0.0
+            for c, explicit in zip(self._q, self._explicit, strict=True)
+        ]
+        others = tuple(zip(loads[1:], slopes[1:], strict=True))
+        return Balance(place, loads[0], energy, slopes[0], power, others=others)
 
-    def _energy_at(self, q: float) -> float:
-        self._q.value = q
-        return self.problem.energy()
+    def _slope(self, c: fem.Constant, side: float) -> float:
+        """Pi_q by one of the scalars, at fixed u. Collective."""
+        q, found = float(c.value), 0.0
+        for offset, weight in _quotient(side):
+            c.value = q + offset * self._h
+            found += weight / self._h * self.problem.energy()
+        c.value = q
+        return found
 
-    def _supports(self, q: float, side: float) -> float:
+    def _supports(self, side: float) -> float:
         """R . du_p/dq. Collective."""
-        problem = self.problem
+        problem, c = self.problem, self._q[0]
+        q = float(c.value)
         velocity = np.zeros(self._b.getLocalSize())
         for offset, weight in _quotient(side):
-            self._q.value = q + offset * self._h
+            c.value = q + offset * self._h
             for support in problem.supports:
                 support.update()
             self._b.set(0)
             problem.prescribe(self._b)
             velocity += weight / self._h * self._b.array_r
-        self._q.value = q
+        c.value = q
         for support in problem.supports:
             support.update()
         problem.residual(self._b)

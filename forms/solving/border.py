@@ -25,6 +25,7 @@ from ufl.algorithms import expand_derivatives
 from ..compilation import compiled
 from ..differentiation import rate
 from ..problems import Problem
+from .alike import counted, dependent, refuse_alike
 from .tangents import Tangent
 
 Values = NDArray[np.float64]
@@ -65,11 +66,14 @@ class Border:
     def __init__(self, problem: Problem, q: Sequence[fem.Constant], tangent: Tangent) -> None:
         self.problem, self.q, self.tangent = problem, tuple(q), tangent
         slopes = [by_constant(problem.forms.residual_ufl, c) for c in self.q]
-        if any(slope.empty() for slope in slopes):
-            raise ValueError("the potential does not contain q: write a load with it.")
+        for n, slope in enumerate(slopes, start=1):
+            if slope.empty():
+                which = "q" if len(slopes) == 1 else f"q number {n}"
+                raise ValueError(f"the potential does not contain {which}: write a load with it.")
         self._R_q = [compiled(slope) for slope in slopes]
         self.constraints: list[Constraint] = []
         self.singular = False
+        self._alike: list[int] = []
         self._b = problem.create_vector()
         self.R_q, self.y_q, self._g_u = ([self._b.duplicate() for _ in q] for _ in range(3))
         self._y = self._b.duplicate()
@@ -188,10 +192,10 @@ class Border:
         while not tangent.spoiled:
             solved = tangent.solve(self._b, self._y) and self._solved_loads()
             if solved:
-                slopes = [[u.dot(y) for y in self.y_q] for u in self._g_u]
-                schur = (self._G - np.array(slopes)) * self._weights[:, None]
+                schur = self._schur()
                 off = g - self._weights * np.array([u.dot(self._y) for u in self._g_u])
-                if np.linalg.matrix_rank(schur) < len(g):
+                self._alike = dependent(schur)
+                if self._alike:
                     return None  # neither the field nor q changes the constraint
                 dq = np.linalg.solve(schur, off)
                 moved = self._y.array_r - sum(
@@ -204,6 +208,41 @@ class Border:
             if not (self._damped and self._stiffened()):
                 return None
         return None
+
+    def _schur(self) -> Values:
+        """G - g_u K^-1 R_q, weighed: how the equations go with each q. Collective."""
+        slopes = [[u.dot(y) for y in self.y_q] for u in self._g_u]
+        return (self._G - np.array(slopes)) * self._weights[:, None]
+
+    def negative(self) -> int | None:
+        """Eigenvalues of the Schur complement with a negative real part; None where unknown.
+
+        K is factorized at the present state. Collective.
+        """
+        self.update(1.0, damped=False)
+        schur = self._schur() if self._solved_loads() else np.full_like(self._G, np.nan)
+        if not np.all(np.isfinite(schur)):
+            return None
+        return int((np.linalg.eigvals(schur).real < 0).sum())
+
+    def check(self) -> None:
+        """Refuse equations and q that say the same at the present state. Collective.
+
+        Raises:
+            ValueError: they do.
+        """
+        self.update(1.0, damped=False)
+        explicit = self._G != 0
+        refuse_alike(self._g_u, ~explicit.any(axis=1), "functional", "change with u")
+        refuse_alike(self.R_q, ~explicit.any(axis=0), "q", "load the body")
+
+    def words(self) -> str:
+        """That the last system was singular, and by which of several equations."""
+        which = ""
+        if len(self.q) > 1 and self._alike:
+            which = f", no q changes functional {counted(self._alike)}"
+            which += " without the others" * (len(self._alike) > 1)
+        return f"the bordered system is singular{which}"
 
     def _stiffened(self) -> bool:
         """Damp the tangent, or damp it more; False where that is no use. Collective."""

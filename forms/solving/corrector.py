@@ -232,8 +232,9 @@ class Corrector:
         return bool(max(self.problem.comm.allgather(missed)) > 0)
 
     def _why(self, code: int) -> str:
-        border = self.border is not None and self.border.singular
-        singular = "the bordered system is singular" if border else REASONS[Failure.LINEAR]
+        singular = REASONS[Failure.LINEAR]
+        if self.border is not None and self.border.singular:
+            singular = self.border.words()
         words = singular if code == Failure.LINEAR else REASONS.get(code, f"reason {code}")
         return self._reason or words
 

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from dolfinx import fem
 
 from ..problems import Problem
 from .corrector import Corrector
@@ -23,12 +22,14 @@ class Critical:
 
     Args:
         problem: Problem.
-        q: Load factor.
         corrector: Whose tangent is factorized.
+        move: Sets the unknown and the load factor to a state's.
     """
 
-    def __init__(self, problem: Problem, q: fem.Constant, corrector: Corrector) -> None:
-        self._problem, self._q, self._corrector = problem, q, corrector
+    def __init__(
+        self, problem: Problem, corrector: Corrector, move: Callable[[State], None]
+    ) -> None:
+        self._problem, self._corrector, self._move = problem, corrector, move
 
     def place(
         self, states: Sequence[State], before: int, tolerance: float, most: int = MOST
@@ -62,9 +63,7 @@ class Critical:
 
     def _eigenvalue(self, states: Sequence[State], place: float, before: int) -> float:
         """The one nearest to zero; positive where the count is that before. Collective."""
-        values, load = through(states, place)
-        self._problem.u.x.array[:] = values
-        self._q.value = load
+        self._move(through(states, place))
         count = self._corrector.refactor()
         if count is None:
             return 0.0

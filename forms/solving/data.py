@@ -25,15 +25,15 @@ class Data:
     Args:
         problem: Whose solution is to give the values.
         what: A :class:`forms.Reaction`, a functional, :class:`forms.Displacements` at points, or
-            the t that ``held`` goes with.
+            the t (one of several) that ``held`` goes with.
         values: What was measured: one value (or an array of points and components) for each of the
             loads; without loads one alone.
         sigma: Standard deviation of each value, or of all; None where it is not known: values then
             count relative to their root mean square.
-        t: Load factor; with ``held`` the scalar that ``forms.control`` finds.
+        t: Load factor; with ``held`` the scalar that ``forms.control`` finds, or a list of them.
         loads: Load factors, in the order of the path, at which was measured; with ``held`` the
-            values of the functional.
-        held: Functional that is held, as by ``forms.control``.
+            values of the functional, or of several rows.
+        held: Functional that is held, as by ``forms.control``, or a list of them.
         name: Name for pictures.
 
     Raises:
@@ -44,9 +44,9 @@ class Data:
     what: Any
     values: Any
     sigma: Any = None
-    t: fem.Constant | None = None
-    loads: Sequence[float] | None = None
-    held: ufl.Form | None = None
+    t: fem.Constant | Sequence[fem.Constant] | None = None
+    loads: Sequence[Any] | None = None
+    held: ufl.Form | Sequence[ufl.Form] | None = None
     name: str = ""
     shape: tuple[int, ...] = field(init=False, repr=False)
 
@@ -58,6 +58,8 @@ class Data:
             )
         if (self.loads is None) != (self.t is None):
             raise ValueError("data along a path need both its load factor t= and loads=.")
+        if self.loads is not None and any(np.ndim(load) for load in self.loads):
+            self.loads = [tuple(float(x) for x in row) for row in self.loads]
         self.values = np.asarray(self.values, float)
         self.shape = ()
         if isinstance(self.what, Displacements):
@@ -80,7 +82,17 @@ class Data:
                     "sigma is a positive standard deviation of all values, or one of each."
                 )
 
-    def place(self, load: float | None) -> Any:
+    @property
+    def factors(self) -> tuple[fem.Constant, ...]:
+        """The load factor, the scalars that are found, or none."""
+        return _listed(self.t)
+
+    @property
+    def functionals(self) -> tuple[ufl.Form, ...]:
+        """The functionals that are held, or none."""
+        return _listed(self.held)
+
+    def place(self, load: Any) -> Any:
         """Index of a load's values; all of them without loads, None where there are none."""
         if self.loads is None:
             return ...
@@ -94,3 +106,9 @@ class Data:
             return self.sigma
         size = float(np.sqrt(np.mean(self.values**2)))
         return np.full(self.values.shape, size or 1.0)
+
+
+def _listed(given: Any) -> tuple[Any, ...]:
+    if given is None:
+        return ()
+    return tuple(given) if isinstance(given, list | tuple) else (given,)

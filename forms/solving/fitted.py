@@ -92,8 +92,9 @@ class Fit:
         for axes, data, fitted in zip(grid, self.data, self.fitted, strict=False):
             if fitted.ndim == 1 and data.loads is not None and len(fitted) > 1:
                 bars = data.sigma if data.sigma is not None and np.any(data.sigma > 0) else None
-                axes.errorbar(data.loads, data.values, bars, fmt="k.", label="data")
-                axes.plot(data.loads, fitted, "C0", label="fit")
+                loads = [float(np.ravel(load)[0]) for load in data.loads]  # of rows the first
+                axes.errorbar(loads, data.values, bars, fmt="k.", label="data")
+                axes.plot(loads, fitted, "C0", label="fit")
                 axes.set_xlabel("load")
                 axes.legend(frameon=False)
             else:

@@ -111,7 +111,8 @@ class _Misfit:
         self.forward = regularization is None and not numbers.fields
         groups: dict[tuple[int, ...], list[Data]] = {}
         for d in data:
-            groups.setdefault((id(d.problem), id(d.t), id(d.held)), []).append(d)
+            key = id(d.problem), *map(id, d.factors), *map(id, d.functionals)
+            groups.setdefault(key, []).append(d)
         self._visits = [Visits(group, numbers, self.forward) for group in groups.values()]
         self._slopes = [
             None if regularization is None else Slope(regularization, m) for m in numbers.parameters

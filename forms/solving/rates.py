@@ -32,12 +32,21 @@ class Rate(NamedTuple):
     Attributes:
         du: Of the unknown, ghosts included.
         dR: Of the residual without boundary conditions, owned: of the reactions.
-        dq: Of the scalar that holds a functional; 0 without one.
+        dq: Of the scalars that hold functionals.
     """
 
     du: Array
     dR: Array
-    dq: float
+    dq: Array
+
+
+class _Bordered(NamedTuple):
+    """R_q, z = K^-1 R_q by each q; G_u of each functional; G_q - G_u . z of each by each."""
+
+    R_q: list[Array]
+    z: list[Array]
+    G_u: list[Array]
+    schur: Array
 
 
 class Rates:
@@ -47,7 +56,7 @@ class Rates:
         problem: What is solved.
         measured: Objects of :mod:`forms.measured`.
         parameters: Constants.
-        border: Scalar q and functional that it holds, if any.
+        border: Scalars q, then the functionals that they hold, if any.
     """
 
     def __init__(
@@ -65,13 +74,16 @@ class Rates:
             for m in parameters
         ]
         self._b, self._x = problem.create_vector(), problem.create_vector()
-        self._border = border
-        if border is not None:
-            q = border[0]
-            self._G = Functional(border[1], problem)
-            self._R_q, self._G_q = Slope(R, q), Slope(self._G.form, q)
-            self._G_m = [Slope(self._G.form, m) for m in parameters]
-            self._J_q = [Slope(j.form, q) if isinstance(j, Functional) else None for j in measured]
+        border = border or ()
+        self._q = border[: len(border) // 2]
+        self._G = [Functional(form, problem) for form in border[len(self._q) :]]
+        self._R_q = [Slope(R, q) for q in self._q]
+        self._G_q = [[Slope(G.form, q) for q in self._q] for G in self._G]
+        self._G_m = [[Slope(G.form, m) for G in self._G] for m in parameters]
+        self._J_q = [
+            [Slope(j.form, q) for q in self._q] if isinstance(j, Functional) else []
+            for j in measured
+        ]
 
     @property
     def empty(self) -> list[bool]:
@@ -85,7 +97,7 @@ class Rates:
         """Rates, and of each that is measured its Jacobian, (values, numbers). Collective."""
         problem = self.problem
         problem.prepare()
-        border = None if self._border is None else self._bordered(linear)
+        border = self._bordered(linear)
         states = [
             None if isinstance(j, Displacements) else j.by_state(problem, np.ones(1))
             for j in self.measured
@@ -95,7 +107,7 @@ class Rates:
         columns: list[list[Array]] = [[] for _ in self.measured]
         for p, m in enumerate(self.parameters):
             slopes = [None if s is None else s.numbers() for s in self._J[p]]
-            G_m = None if border is None else self._G_m[p].numbers()
+            G_m = [slope.numbers() for slope in self._G_m[p]]
             loads, moves = self._loads(p), self._moves(p)
             for n, k in enumerate(np.ndindex(m.ufl_shape)):
                 rate = self._rate(linear, loads[n], moves[n], border, G_m, k)
@@ -122,34 +134,39 @@ class Rates:
         self._b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.array(self._b.array_r)
 
-    def _bordered(self, linear: Linearized) -> tuple[Array, Array, Array, float]:
-        """R_q, z = K^-1 R_q, G_u and G_q - G_u . z. Collective."""
-        R_q = self._assembled(self._R_q)
-        z = self._solved(linear, R_q)
-        G_u = self._G.by_state(self.problem, np.ones(1))
-        return R_q, z, G_u, float(self._G_q.numbers()) - self._dot(G_u, z)
+    def _bordered(self, linear: Linearized) -> _Bordered:
+        """Parts of the bordered system at the present state. Collective."""
+        R_q = [self._assembled(slope) for slope in self._R_q]
+        z = [self._solved(linear, each) for each in R_q]
+        G_u = [G.by_state(self.problem, np.ones(1)) for G in self._G]
+        schur = [
+            [float(s.numbers()) - self._dot(g, y) for s, y in zip(slopes, z, strict=True)]
+            for g, slopes in zip(G_u, self._G_q, strict=True)
+        ]
+        return _Bordered(R_q, z, G_u, np.array(schur))
 
     def _rate(
         self,
         linear: Linearized,
         load: Array,
         moved: Array | None,
-        border: tuple[Array, Array, Array, float] | None,
-        G_m: Array | None,
+        border: _Bordered,
+        G_m: list[Array],
         k: Any,
     ) -> Rate:
         right: Array = load
         du: Array = np.zeros(len(load))
-        dq = 0.0
+        dq: Array = np.zeros(len(G_m))
         if moved is not None:
             self._put(moved)
             right, du = load + self._product(), moved
         du = du - self._solved(linear, right)
         total: Array = load
-        if border is not None and G_m is not None:
-            R_q, z, G_u, schur = border
-            dq = -(float(G_m[k]) + self._dot(G_u, du)) / schur
-            du, total = du - dq * z, load + dq * R_q
+        if len(dq):
+            changes = [float(m[k]) + self._dot(g, du) for m, g in zip(G_m, border.G_u, strict=True)]
+            dq[:] = -np.linalg.solve(border.schur, changes)
+        for change, R_q, z in zip(dq, border.R_q, border.z, strict=True):
+            du, total = du - change * z, total + change * R_q
         self._put(du)
         return Rate(self._du.x.array.copy(), total + self._product(), dq)
 
@@ -160,12 +177,12 @@ class Rates:
         if isinstance(j, Displacements):
             return j.along(self.problem, rate.du)
         if isinstance(j, Scalar):
-            return np.array([rate.dq])
+            return np.array([d for d, q in zip(rate.dq, self._q, strict=True) if q is j.q])
         found = explicit + self._dot(state, rate.du[: len(state)])
         if isinstance(j, Reaction):
             found += self._dot(weights[: len(rate.dR)], rate.dR)
-        elif self._border is not None and (by_q := self._J_q[i]) is not None:
-            found += float(by_q.numbers()) * rate.dq
+        for change, by_q in zip(rate.dq, self._J_q[i], strict=False):
+            found += float(by_q.numbers()) * change
         return np.array([found])
 
     def _solved(self, linear: Linearized, right: Array) -> Array:

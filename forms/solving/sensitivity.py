@@ -6,8 +6,8 @@ R(u, m) = 0 at free degrees of freedom, u = g(m) at supported ones. For J(u, m) 
     K_ff^T lambda = (J_u + K^T w)_f,   a = w - lambda,   lambda = 0 where u is prescribed,
     dJ/dm = J_m + R_m[a] + (J_u + K^T a)_held . dg/dm,
 
-exact in the discrete problem: one linear solve for all parameters. Where a scalar q holds a
-functional G(u, q) at a value (:func:`forms.control`), the bordered system takes the place of K.
+exact in the discrete problem: one linear solve for all parameters. Where scalars q hold as many
+functionals G(u, q) at values (:func:`forms.control`), the bordered system takes the place of K.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 
 from .. import insertion
 from ..compilation import compiled
-from ..measured import Displacements, Functional, Reaction, Scalar, measured
+from ..measured import Displacements, Functional, Reaction, measured
 from ..parameters import Slope, SupportSlopes, check_parameters, held_by, name_of
 from ..paths import Path
 from ..problems import Problem
 from ..supports import Support
+from .holding import Holding, fill
 from .linearized import Linearized
 
 Array = NDArray[np.float64]
@@ -51,9 +52,9 @@ def gradient(
 
     Args:
         path: What ``solve``, ``follow``, ``arc_length`` or ``control`` returned, or its problem,
-            at a converged state. After ``control`` the scalar q moves with the parameters, so that
-            the functional keeps its value; after the others it is a parameter like any other.
-        J: Functional of the unknown and of parameters; or a :class:`forms.Reaction`; or the q that
+            at a converged state. After ``control`` every q moves with the parameters, so that
+            the functionals keep their values; after the others it is a parameter like any other.
+        J: Functional of the unknown and of parameters; or a :class:`forms.Reaction`; or a q that
             ``control`` has found.
         parameters: One, or a list: a Constant (load factors too), a Function of any space, or a
             support, by whose prescribed values is differentiated. They may stand in the potential,
@@ -123,13 +124,15 @@ class Slopes:
         m: Parameter.
 
     Attributes:
-        R, G: Of R[a] and of the equation that a scalar holds; None for a support.
+        R: Of R[a]; None for a support.
+        G: Of the equations that scalars hold.
         J: Of each functional that is measured, by its place.
         supports: Of prescribed values.
     """
 
     def __init__(self, sensitivity: Sensitivity, m: Any) -> None:
-        self.R = self.G = self.supports = None
+        self.R = self.supports = None
+        self.G: list[Slope] = []
         self.J: dict[int, Slope] = {}
         self._is_support = isinstance(m, Support)
         if self._is_support:
@@ -138,7 +141,7 @@ class Slopes:
         functionals = [j if isinstance(j, Functional) else None for j in sensitivity.measured]
         self.J = {n: Slope(j.form, m) for n, j in enumerate(functionals) if j is not None}
         if sensitivity.border is not None:
-            self.G = Slope(sensitivity.border.form, m)
+            self.G = [Slope(form, m) for form in sensitivity.border.forms]
         self.supports = SupportSlopes(sensitivity.problem, m)
 
     @property
@@ -149,12 +152,13 @@ class Slopes:
     @property
     def empty(self) -> bool:
         """Whether nothing depends on the parameter."""
-        listed = [self.R, self.G, *self.J.values()]
+        listed = [self.R, *self.G, *self.J.values()]
         return not self.moves_supports and all(s is None or s.empty for s in listed)
 
-    def weighted(self, c: list[Array], nu: float) -> list[tuple[float, Slope]]:
+    def weighted(self, c: list[Array], nu: Array) -> list[tuple[float, Slope]]:
         """Summands of the derivative at fixed prescribed values, and their factors."""
-        found = [(1.0, self.R), (-nu, self.G), *((c[n][0], s) for n, s in self.J.items())]
+        held = [(-float(each), s) for each, s in zip(nu, self.G, strict=False)]
+        found = [(1.0, self.R), *held, *((c[n][0], s) for n, s in self.J.items())]
         return [(factor, s) for factor, s in found if s is not None and not s.empty]
 
 
@@ -165,7 +169,7 @@ class Sensitivity:
         problem: What is solved.
         measured: Objects of :mod:`forms.measured`.
         parameters: Checked parameters.
-        border: Scalar q and functional that it holds, if any.
+        border: Scalars q, then the functionals that they hold, if any.
 
     Attributes:
         R: Residual at the function of adjoints.
@@ -182,8 +186,9 @@ class Sensitivity:
         self.R = ufl.action(problem.forms.residual_ufl, self._a)
         K = problem.forms.tangent_ufl
         self._Ka: Any = ufl.action(K if problem.symmetric else ufl.adjoint(K), self._a)
-        self.border = None if border is None else _Held(problem, border, self.R, measured)
-        if self.border is not None and any(m is self.border.q for m in parameters):
+        self.border = None if border is None else Holding(problem, border, self.R, measured)
+        found = () if self.border is None else self.border.q
+        if any(m is q for m in parameters for q in found):
             raise ValueError("the scalar that control has found is no parameter: leave it out.")
         self.slopes = [Slopes(self, m) for m in parameters]
         self._b, self._linear = problem.create_vector(), problem.create_vector()
@@ -195,7 +200,7 @@ class Sensitivity:
             return self.adjoint(linear, [np.ones(1)])
 
     def adjoint(self, linear: Linearized, c: list[Array]) -> list[Any]:
-        """Derivative of sum_n c_n . values_n, by one solve (two in a bordered system). Collective.
+        """Derivative of sum_n c_n . values_n, by one solve and one for each q. Collective.
 
         Args:
             linear: The tangent at the present state.
@@ -207,11 +212,12 @@ class Sensitivity:
         weighed = self._weigh(c)
         w = self._a.x.array.copy()
         by_w = self._transposed(w) if weighed else np.zeros_like(explicit)
-        _fill(b, explicit + by_w)
+        fill(b, explicit + by_w)
         y = b.duplicate()
         energy = None if self.border is not None else self._energy(explicit, by_w, w)
         linear.solve(b, y, transposed=True, energy=energy)
-        lam, nu = np.array(y.array_r), 0.0
+        lam: Array = np.array(y.array_r)
+        nu: Array = np.zeros(0)
         if self.border is not None:
             lam, nu = self.border.eliminated(linear, lam, w, c, (b, y), self._set)
         y.destroy()
@@ -221,7 +227,8 @@ class Sensitivity:
         held = np.zeros(len(lam))
         if any(s.moves_supports for s in self.slopes):
             found = explicit + self._transposed()
-            found -= 0 if self.border is None else nu * self.border.by_state
+            for each, by_state in zip(nu, self.border.by_state if self.border else [], strict=True):
+                found -= each * by_state
             held[:] = problem.held_part(found)
         pairs = zip(self.parameters, self.slopes, strict=True)
         return [self._by(m, slopes, held, c, nu) for m, slopes in pairs]
@@ -232,7 +239,7 @@ class Sensitivity:
         w . K w - 2 lambda . K w + lambda . K lambda,  K w = b - J_u,  K lambda = b - r
         """
         linear = self._linear
-        _fill(linear, explicit - by_w)
+        fill(linear, explicit - by_w)
         own = self.problem.comm.allreduce(float(w[: len(by_w)] @ by_w))
         return lambda lam, r: own + lam.dot(linear) - lam.dot(r)
 
@@ -285,7 +292,7 @@ class Sensitivity:
         found = self.problem.comm.allreduce(bool(free.any()), MPI.LOR)
         return self.problem.symmetric and self.problem.slants is None and not found
 
-    def _by(self, m: Any, slopes: Slopes, held: Array, c: list[Array], nu: float) -> Any:
+    def _by(self, m: Any, slopes: Slopes, held: Array, c: list[Array], nu: Array) -> Any:
         if isinstance(m, Support):
             found = fem.Function(self.problem.u.function_space, name="gradient")
             rows, by = held_by(self.problem, m), held.copy()
@@ -320,60 +327,6 @@ def check_memory(problem: Problem) -> None:
                 "derivatives need a state that only the present loads decide, got a term that "
                 f"keeps a history, {type(term).__name__}: paths in time are not differentiated."
             )
-
-
-class _Held:
-    """The equation G(u, q) = value of control, in the adjoint system.
-
-    y = K^-T (J_u + K^T w), z = K^-T G_u, lambda = y - nu z, nu = (J_q + R_q[w] - R_q . y) /
-    (G_q - R_q . z).
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        border: tuple[fem.Constant, ufl.Form],
-        R: ufl.Form,
-        measured: list[Any],
-    ) -> None:
-        self.problem, self.q = problem, (q := border[0])
-        self.functional = Functional(border[1], problem)
-        self.form = self.functional.form
-        self._R_q, self._G_q = Slope(R, q), Slope(self.form, q)
-        self._J_q = [Slope(j.form, q) if isinstance(j, Functional) else None for j in measured]
-        self._is_q = [isinstance(j, Scalar) for j in measured]
-        self.by_state: Array = np.zeros(0)
-
-    def eliminated(
-        self,
-        linear: Linearized,
-        y: Array,
-        w: Array,
-        c: list[Array],
-        room: tuple[PETSc.Vec, PETSc.Vec],
-        put: Callable[[Array], None],
-    ) -> tuple[Array, float]:
-        """Owned lambda, and nu. Collective."""
-        self.by_state = self.functional.by_state(self.problem, np.ones(1))
-        _fill(room[0], self.by_state)
-        linear.solve(*room, transposed=True)
-        z = np.array(room[1].array_r)
-
-        def load(a: Array) -> float:
-            put(a)
-            return float(self._R_q.numbers())
-
-        J_q = load(w)
-        for f, slope, is_q in zip(c, self._J_q, self._is_q, strict=True):
-            J_q += f[0] * (float(is_q) if slope is None else float(slope.numbers()))
-        nu = (J_q - load(y)) / (float(self._G_q.numbers()) - load(z))
-        return y - nu * z, nu
-
-
-def _fill(b: PETSc.Vec, values: Array) -> None:
-    with b.localForm() as local:
-        local.set(0)
-    b.array[:] = values
 
 
 def by_matrix(problem: Problem, a: fem.Function, b: PETSc.Vec, transposed: bool) -> Array:

@@ -40,13 +40,14 @@ class Visits:
 
     def __init__(self, data: list[Data], numbers: Numbers, forward: bool) -> None:
         first = data[0]
-        self.problem, self.t, self.held, self.data = first.problem, first.t, first.held, data
+        self.problem, self.held, self.data = first.problem, first.functionals, data
+        self.t = first.factors
         sequences = [list(d.loads) for d in data if d.loads is not None]
         same = all(s == sequences[0] for s in sequences)
-        self.loads: list[float | None] = [None]
+        self.loads: list[Any] = [None]
         if sequences:
             self.loads = [*(sequences[0] if same else sorted({x for s in sequences for x in s}))]
-        border = None if self.held is None else (self.t, self.held)
+        border = (*self.t, *self.held) if self.held else None
         self.measured = [measured(d.what, self.problem, border, "fit") for d in data]
         self.rates = self.adjoint = None
         if forward:
@@ -55,12 +56,12 @@ class Visits:
         else:
             self.adjoint = Sensitivity(self.problem, self.measured, numbers.parameters, border)
             self.empty = [slopes.empty for slopes in self.adjoint.slopes]
-        self._start = self.problem.u.x.array.copy(), self._factor()
-        self._states: list[tuple[Array, float, list[Rate]] | None] = [None] * len(self.loads)
+        self._start = self.problem.u.x.array.copy(), self._factors()
+        self._states: list[tuple[Array, Array, list[Rate]] | None] = [None] * len(self.loads)
         self._at: Array | None = None
 
-    def _factor(self) -> float:
-        return 0.0 if self.t is None else float(self.t.value)
+    def _factors(self) -> Array:
+        return np.array([float(t.value) for t in self.t])
 
     def forget(self) -> None:
         """Begin anew at the start of the path."""
@@ -75,25 +76,26 @@ class Visits:
             self._reach(n, last, m)
             with Linearized(self.problem) as linear:
                 rates = look(n, linear)
-            last = self.problem.u.x.array.copy(), self._factor()
+            last = self.problem.u.x.array.copy(), self._factors()
             found.append((*last, rates))
         self._states, self._at = list(found), m.copy()
 
-    def _put(self, u: Array, factor: float) -> None:
+    def _put(self, u: Array, factors: Array) -> None:
         self.problem.u.x.array[:] = u
-        if self.t is not None:
-            self.t.value = factor
+        for t, factor in zip(self.t, factors, strict=True):
+            t.value = factor
 
-    def _reach(self, n: int, last: tuple[Array, float], m: Array) -> None:
+    def _reach(self, n: int, last: tuple[Array, Array], m: Array) -> None:
         """Find the state of a load: near its last one, or along the path from the load before."""
         state, load = self._states[n], self.loads[n]
         if state is not None and self._at is not None:
-            u, factor, rates = state
+            u, factors, rates = state
             change = m - self._at
             for rate, d in zip(rates, change, strict=False):
                 u = u + d * rate.du
-                factor += d * rate.dq
-            self._put(u, factor if self.held is not None or load is None else load)
+                if self.held:
+                    factors = factors + d * rate.dq
+            self._put(u, factors if self.held or load is None else np.array([load]))
             try:
                 self._solve(load)
                 return
@@ -102,21 +104,21 @@ class Visits:
         self._put(*last)
         self._follow(load)
 
-    def _solve(self, load: float | None) -> None:
-        if self.held is None:
+    def _solve(self, load: Any) -> None:
+        if not self.held:
             solve(self.problem, **EXACT)
         else:
             self._control(load)
 
-    def _control(self, load: float | None) -> None:
-        target: Any = [load]
+    def _control(self, load: Any) -> None:
+        target = [np.atleast_1d(load)]
         control(self.problem, None, (), self.t, self.held, target, progress=False, **EXACT)
 
-    def _follow(self, load: float | None) -> None:
-        if self.held is not None:
+    def _follow(self, load: Any) -> None:
+        if self.held:
             self._control(load)
-        elif load is None or self.t is None or load == self._factor():
+        elif load is None or not self.t or load == self._factors()[0]:
             solve(self.problem, **EXACT)
         else:
-            way = abs(load - self._factor())
-            follow(self.problem, t=self.t, to=load, step=way, progress=False, **EXACT)
+            way = abs(load - self._factors()[0])
+            follow(self.problem, t=self.t[0], to=load, step=way, progress=False, **EXACT)

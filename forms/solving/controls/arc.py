@@ -64,9 +64,8 @@ class ArcLength(Continuation):
         self.plane = Plane(border)
         self.ended, self.used_up = "", False
         pace = Pace(1.0, 0.0, settings=newton.settings)
-        q = border.q[0]
         span = abs(step) if along is None else 1.0
-        super().__init__(path, newton, Corrector(newton, border), q, pace, 1.0, span)
+        super().__init__(path, newton, Corrector(newton, border), border.q, pace, 1.0, span)
 
     @property
     def done(self) -> float:
@@ -88,7 +87,7 @@ class ArcLength(Continuation):
             self.restore()
             sentence = f"{outcome.sentence()}, at the start, q = {self.load:.6g}."
             raise failure(self.path, sentence, outcome.advice)
-        self._past = [State(self.path.u.x.array.copy(), self.load, 0.0)]
+        self._past = [self._past[0]._replace(values=self.path.u.x.array.copy())]
         super().begin()
         first = self.plane.first(self._step, self._along, self.corrector)
         self.count = self.plane.negative
@@ -114,9 +113,9 @@ class ArcLength(Continuation):
         self._border.constraints = [self.plane]
         self.plane.length = goal - self.place
 
-    def guess(self, load: float) -> None:
+    def guess(self, state: State) -> None:
         """Start on the curve through the last states, or on the tangent at the only one."""
-        self.q.value = load
+        self.take_loads(state)
         if self._order == 1:
             self.plane.leave()
 
@@ -129,8 +128,7 @@ class ArcLength(Continuation):
 
     def refusal(self, outcome: Convergence) -> str:
         """Why a state is not the path's; where the path turns too far from the step, too."""
-        here = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
-        cosine = self.plane.turn([here, *self._past[: TANGENT - 1]])
+        cosine = self.plane.turn([self.here(self._goal), *self._past[: TANGENT - 1]])
         if cosine < SHARPEST and self.pace.step > 2 * self.pace.least:
             return f"the path turns by {np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees"
         return super().refusal(outcome)
@@ -141,20 +139,20 @@ class ArcLength(Continuation):
         if to is not None and (load - to) * (state.load - to) <= 0:
             states = [state, *self._past]
             share = (to - load) / (state.load - load) if state.load != load else 1.0
-            values, _ = through(states, self.place + share * (self._goal - self.place))
-            found = self._exactly(values, to)
+            curve = through(states, self.place + share * (self._goal - self.place))
+            found = self._exactly(curve.values, to)
             if found is not None:
-                state = state._replace(values=found, load=to)
+                state = state._replace(values=found, loads=(to,))
         super().take(state, outcome, kind)
         self.plane.take()
         self._past = self.plane.placed(self._past)
 
     def _exactly(self, values: NDArray[np.float64], to: float) -> NDArray[np.float64] | None:
-        self.path.u.x.array[:], self.q.value = values, to
+        self.path.u.x.array[:], self.q[0].value = values, to
         outcome = self._at_load(to)
         if not outcome.converged:
             raise failure(self.path, f"{outcome.sentence()}, at the load factor {to}.")
-        self.q.value = to  # to the last digit, by which the end is known
+        self.q[0].value = to  # to the last digit, by which the end is known
         return self.path.u.x.array.copy()
 
     def stepped(self) -> None:
@@ -283,9 +281,9 @@ class Plane:
     def turn(self, states: Sequence[State]) -> float:
         """Find the tangent at a new state; cosine of the angle with the last one."""
         self.t.copy(self._earlier)
-        values, rate = slope(states)
-        norm = self._turn(values)
-        self.stretch, self.rate = norm, rate / norm
+        rates = slope(states)
+        norm = self._turn(rates.values)
+        self.stretch, self.rate = norm, rates.load / norm
         self.t.copy(self._next)
         self._turned = True
         cosine = float(self.t.dot(self._earlier))

@@ -33,7 +33,7 @@ class Branch:
         path: Path of the problem.
         newton: Its solver.
         corrector: That of the path.
-        q: Load factor, or another scalar unknown.
+        q: Load factor, or the scalar unknowns in its place.
         way: Length of the whole way, or a measure of it.
 
     Attributes:
@@ -42,13 +42,18 @@ class Branch:
     """
 
     def __init__(
-        self, path: Path, newton: Newton, corrector: Corrector, q: fem.Constant, way: float
+        self,
+        path: Path,
+        newton: Newton,
+        corrector: Corrector,
+        q: Sequence[fem.Constant],
+        way: float,
     ) -> None:
-        self.path, self.newton, self.corrector, self.q = path, newton, corrector, q
+        self.path, self.newton, self.corrector, self.q = path, newton, corrector, tuple(q)
         self.way, self.settings, self.level = way, newton.settings, 0.0
         self.count: int | None = None
-        self._critical = Critical(path.problem, q, corrector)
-        self._past = [State(path.u.x.array.copy(), float(q.value), 0.0)]
+        self._critical = Critical(path.problem, corrector, self.move)
+        self._past = [self.here(0.0)]
         self._goal, self._order = 0.0, 1
         self._gates: list[float] = []
         self._resumed_step = 0.0
@@ -99,7 +104,7 @@ class Branch:
         if count is None or before is None or count == before or not self.path.problem.symmetric:
             self.count = count
             return ""
-        here = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
+        here = self.here(self._goal)
         before = self._at_last_state(before)
         self.aim(self._goal)
         self.put(here)
@@ -153,10 +158,9 @@ class Branch:
             if not (place - low) * (high - place) > 0:
                 continue
             self.aim(place)
-            self.path.u.x.array[:], self.q.value = through(states, place)
+            self.move(through(states, place))
             if self.corrector.solve(self.level).converged:
-                here = State(self.path.u.x.array.copy(), float(self.q.value), place)
-                states.insert(2, here)  # the first two remain those between which it is
+                states.insert(2, self.here(place))  # the first two remain those between which it is
         place = self._critical.place(states, before, 1e-6 * self.way)
         return self._event(self._past, place, before, after)
 
@@ -166,34 +170,72 @@ class Branch:
 
     def _event(self, states: Sequence[State], place: float, before: int, after: int) -> Event:
         """A limit point where the load factor turns, else a bifurcation. Collective."""
+        load = through(states, place).load
+        if len(self.q) > 1:
+            kind = "limit point" if self._folds(states) else "bifurcation"
+            return Event(load, kind, before, after)
         if abs(after - before) == 1 and self._turned(states):
             return Event(self._extremum(states), "limit point", before, after)
-        return Event(through(states, place)[1], "bifurcation", before, after)
+        return Event(load, "bifurcation", before, after)
 
     def _turned(self, states: Sequence[State]) -> bool:
-        """Whether the load factor has an extremum between the first two states."""
+        """Whether the load factor has an extremum between the first two states.
+
+        Of several scalars: whether a limit point lies there. Collective then.
+        """
+        if len(self.q) > 1:
+            return self._folds(states)
         if len(states) < 3:
             return False
         loads = [state._replace(values=NOTHING) for state in states[:RATES]]
-        before = slope([loads[1], loads[0], *loads[2:]])[1]
-        return before * slope(loads)[1] < 0
+        before = slope([loads[1], loads[0], *loads[2:]]).load
+        return before * slope(loads).load < 0
+
+    def _folds(self, states: Sequence[State]) -> bool:
+        """Whether K alone is singular between the first two states, and not the bordered tangent.
+
+        No scalar need turn there. The Schur complement then passes infinity: as many of its
+        eigenvalues change their sign as of K; at a bifurcation it is finite. Collective.
+        """
+        border, counts = self.corrector.border, []
+        for state in states[:2]:
+            self.put(state)
+            count = self.corrector.refactor()
+            turned = None if count is None or border is None else border.negative()
+            if count is None or turned is None:
+                return False
+            counts.append((count, turned))
+        (here, s_here), (before, s_before) = counts
+        return abs(here - before) == abs(s_here - s_before)
 
     def _extremum(self, states: Sequence[State]) -> float:
         """Load factor at which it turns between the first two states, solved for. Collective."""
         ends, rising = states[:2], states[1].load > states[2].load
         place = _turning_place(states, ends, rising)
         self.aim(place)
-        self.path.u.x.array[:], self.q.value = through(states, place)
+        self.move(through(states, place))
         if self.corrector.solve(self.level).converged:
-            found = State(self.path.u.x.array.copy(), float(self.q.value), place)
-            states = sorted([found, *states], key=lambda state: -state.place)
+            states = sorted([self.here(place), *states], key=lambda state: -state.place)
             place = _turning_place(states, ends, rising)
-        return through(states, place)[1]
+        return through(states, place).load
+
+    def here(self, place: float) -> State:
+        """The present state, at a place."""
+        return State(self.path.u.x.array.copy(), tuple(float(c.value) for c in self.q), place)
+
+    def move(self, state: State) -> None:
+        """Set the unknown and the scalars to a state's; local."""
+        self.path.u.x.array[:] = state.values
+        self.take_loads(state)
+
+    def take_loads(self, state: State) -> None:
+        """Set the scalars to a state's; local."""
+        for c, load in zip(self.q, state.loads, strict=True):
+            c.value = load
 
     def put(self, state: State) -> None:
         """Take a state for the present one. Collective."""
-        self.path.u.x.array[:] = state.values
-        self.q.value = state.load
+        self.move(state)
         for support in self.path.problem.supports:
             support.update()
 
@@ -202,5 +244,5 @@ def _turning_place(states: Sequence[State], ends: Sequence[State], rising: bool)
     """Where, between two of the states, the curve through all has its largest or least load."""
     loads = [state._replace(values=NOTHING) for state in states]
     places = np.linspace(ends[1].place, ends[0].place, 4001)
-    q = np.array([through(loads, place)[1] for place in places])
+    q = np.array([through(loads, place).load for place in places])
     return float(places[int(np.argmax(q if rising else -q))])

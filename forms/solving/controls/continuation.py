@@ -40,7 +40,7 @@ class Continuation(Branch):
         path: Path of the problem.
         newton: Its solver.
         corrector: That of the path.
-        q: Load factor, or another scalar unknown.
+        q: Load factor, or the scalar unknowns in its place.
         pace: Lengths of the steps.
         way: Length of the whole way, or a measure of it.
         span: How far q goes, or its size.
@@ -58,7 +58,7 @@ class Continuation(Branch):
         path: Path,
         newton: Newton,
         corrector: Corrector,
-        q: fem.Constant,
+        q: Sequence[fem.Constant],
         pace: Pace,
         way: float,
         span: float,
@@ -105,8 +105,8 @@ class Continuation(Branch):
             self._goal = self._gates[0]
             self.pace.step = abs(self._goal - self.place)
         self.aim(self._goal)
-        self._order, load = extrapolate(self.path.problem, self._past, self._goal)
-        self.guess(load)
+        self._order, found = extrapolate(self.path.problem, self._past, self._goal)
+        self.guess(found)
         return self._corrected()
 
     def _corrected(self) -> Convergence:
@@ -116,11 +116,11 @@ class Continuation(Branch):
         and stability of what is found tell whether it is the path's.
         """
         problem, newton = self.path.problem, self.newton
-        values, q = problem.u.x.array.copy(), float(self.q.value)
+        guess = self.here(self._goal)
         outcome = self.corrector.solve(self.level)
         if outcome.converged or not (self.corrector.met or self._touching):
             return outcome
-        problem.u.x.array[:], self.q.value = values, q
+        self.move(guess)
         if self.corrector.border is not None or not problem.minimization:
             return self.corrector.solve(self.level, free=True)
         newton.predict()
@@ -131,8 +131,8 @@ class Continuation(Branch):
             return outcome
         return replace(outcome, negative=self.corrector.refactor(), tried=())
 
-    def guess(self, load: float) -> None:
-        """Take the extrapolated load factor, where that is an unknown."""
+    def guess(self, state: State) -> None:
+        """Take the extrapolated scalars, where these are unknowns."""
 
     def accept(self, outcome: Convergence) -> tuple[Convergence, dict[str, Any]] | None:
         """Certify a state that was found, and take it. Collective."""
@@ -140,8 +140,7 @@ class Continuation(Branch):
         if self._why:
             self.path.refused += 1
             return None
-        state = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
-        self.take(state, outcome)
+        self.take(self.here(self._goal), outcome)
         return replace(outcome, negative=self.count, tangents=self.spent()), {}
 
     def spent(self) -> int:
@@ -197,8 +196,8 @@ class Continuation(Branch):
         self._reading = None
         if accounts is None or self._goal == self.place:
             return ""
-        here = State(self.path.u.x.array, float(self.q.value), self._goal)
-        self._reading = accounts.read(self.length(here), self.direction, self.side())
+        length = self.length(self.here(self._goal))
+        self._reading = accounts.read(length, self.direction, self.side())
         if not known:
             return ""
         floor = 100 * self.newton.criteria.goal * self.newton.tangent.scaled.size
@@ -261,14 +260,14 @@ class Continuation(Branch):
 
     def restore(self) -> None:
         """Put the last accepted state back."""
-        self.path.u.x.array[:] = self._past[0].values
-        self.q.value = self._past[0].load
+        self.move(self._past[0])
 
     def memory(self) -> tuple[list[np.ndarray], dict[str, Any]]:
         """The last states, and the numbers that the next step depends on."""
         numbers = {
             "places": [state.place for state in self._past],
-            "loads": [state.load for state in self._past],
+            # One number each, or a list: of one load factor as ever.
+            "loads": [list(s.loads) if len(s.loads) > 1 else s.load for s in self._past],
             "balances": [list(balance) for balance in self.path.balances],
             "events": [list(event) for event in self.path.events],
             "tangents": self.path.tangents,
@@ -292,11 +291,9 @@ class Continuation(Branch):
     def resume(self, saved: Saved) -> None:
         """Go on where a checkpoint holds the path. Collective."""
         numbers = saved.control
-        self._past = [
-            State(*each)
-            for each in zip(saved.states, numbers["loads"], numbers["places"], strict=True)
-        ]
-        self.path.balances = [Balance(*each) for each in numbers["balances"]]
+        pasts = zip(saved.states, numbers["loads"], numbers["places"], strict=True)
+        self._past = [State(u, tuple(map(float, np.atleast_1d(q))), s) for u, q, s in pasts]
+        self.path.balances = [_balance(each) for each in numbers["balances"]]
         self.path.events = [Event(*each) for each in numbers["events"]]
         self.path.tangents = numbers["tangents"]
         self.path.floor = numbers.get("floor", 0.0)
@@ -329,6 +326,12 @@ class Continuation(Branch):
         if self._accounts is not None:
             self._accounts.destroy()
         release(self.newton, sound)
+
+
+def _balance(entries: Sequence[Any]) -> Balance:
+    """A balance from a checkpoint, whose JSON knows no tuples."""
+    found = Balance(*entries)
+    return found._replace(others=tuple((q, slope) for q, slope in found.others))
 
 
 def _since(known: Sequence[Balance]) -> Sequence[Balance]:

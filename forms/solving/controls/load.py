@@ -65,7 +65,7 @@ class LoadSteps(Continuation):
         self._begin, self._jump = float(t.value), jump
         self._ends = _ends(self._begin, to, kinks(path.problem, t))
         way = self._ends[-1].place
-        super().__init__(path, newton, Corrector(newton), t, pace, way, way)
+        super().__init__(path, newton, Corrector(newton), [t], pace, way, way)
         self._first, self._kind, self._singular = pace.ahead, ORDINARY, True
 
     @property
@@ -113,7 +113,7 @@ class LoadSteps(Continuation):
                 load += end.direction * (goal - place)
                 break
             place, load = end.place, end.load
-        self.q.value = load
+        self.q[0].value = load
         for support in self.path.problem.supports:
             support.update()
 
@@ -153,7 +153,7 @@ class LoadSteps(Continuation):
         if self.count is None and self.path.problem.symmetric:
             self.count = self.corrector.refactor()
         self.bounds = certified_volume(self.path.problem)
-        state = State(self.path.u.x.array.copy(), float(self.q.value), self._goal)
+        state = self.here(self._goal)
         known = self.path.balances
         self.take(state, outcome, kind)
         if kind == JUMP:
@@ -201,9 +201,10 @@ class LoadSteps(Continuation):
             at = places.index(begin.place)
             around = states[max(at - AROUND, 0) : at + AROUND]
             self.aim(middle)
-            self.path.u.x.array[:], load = through(around, middle)
+            curve = through(around, middle)
+            self.path.u.x.array[:] = curve.values
             if self.corrector.solve(self.level).converged:
-                here = State(self.path.u.x.array.copy(), load, middle)
+                here = curve._replace(values=self.path.u.x.array.copy())
                 reading = accounts.read(middle, float(np.sign(end.load - begin.load)))
                 found = joined(known, gap, reading)
                 if len(found) > len(known):
@@ -268,7 +269,7 @@ class LoadSteps(Continuation):
             )
         place, load = numbers["places"][0], numbers["loads"][0]
         self.aim(place)
-        if place > self.way or abs(float(self.q.value) - load) > 1e-9 * self.way:
+        if place > self.way or abs(float(self.q[0].value) - load) > 1e-9 * self.way:
             way = ", ".join(f"{end.load:.6g}" for end in self._ends)
             raise ValueError(
                 f"the checkpoint is at load factor {load:.6g}, which is not on the way from "
