@@ -47,6 +47,19 @@ def test_benchmark_of_rates_runs(run, tmp_path):
     assert min(row[name] for name in rates.PIECES) > 0 and row["Newton"] > 2
 
 
+@pytest.mark.parametrize("element, points", [("P1", 1), ("P2", 4)])
+def test_tangents_by_moduli_are_counted_by_their_loops(element, points):
+    """At a point 54 for each of n (n + 1)/2 blocks, 162 for a node, and the moduli's kernel."""
+    problem, _ = rates.scene(element, "neo-Hookean", 1)
+    problem.forms.use_moduli()
+    found, own = rates.of_moduli(problem.forms.tangent_ufl)
+    assert found == points and own > 45 * points
+    cells = problem.u.function_space.mesh.topology.index_map(3).size_local
+    nodes = problem.u.function_space.dofmap.list.shape[1]
+    loops = points * (162 * nodes + 27 * nodes * (nodes + 1))
+    assert rates.limits(problem, 1)["tangent"][1] == cells * (own + loops)
+
+
 def test_operations_of_a_loop_are_counted():
     """sum_i a_i b_i + c of three turns: a product, a sum and what is added to, each time."""
     i, a, b, c, s = (tree.Symbol(name, dtype=tree.DataType.REAL) for name in "iabcs")

@@ -100,6 +100,19 @@ def test_a_target_that_is_far_is_reached_in_halves_or_refused():
     assert forms.integral(volume) == pytest.approx(20 * start, rel=1e-7)
 
 
+def test_the_account_of_a_way_there_and_back():
+    """Every joule of a balloon blown up and let down, the steps around the turn included: 2e-5."""
+    potential, u, held, p, volume = sphere(0.4, 2)
+    stretches = [*np.linspace(1.1, 2, 8), *np.linspace(1.9, 1.2, 8)]
+    targets = forms.integral(volume) * np.array(stretches)
+    record = {"sheet": lambda s: s.energy() + float(p.value) * forms.integral(volume)}
+    path = forms.control(potential, u, held, p, volume, targets, record=record, progress=False)
+    rows, stored = list(path.ledger), [step.records["sheet"] for step in path.steps]
+    assert [row.stored for row in rows] == pytest.approx(np.diff(stored), rel=1e-9)
+    assert max(abs(row.unaccounted) for row in rows) < 2e-5 * max(stored)
+    assert abs(rows[6].unaccounted) + abs(rows[7].unaccounted) < 5e-6 * max(stored)
+
+
 def test_a_scalar_inside_an_operand_is_found():
     """The activation at which a free block is 1/1.1 as long is 1.1: F A = R, without stress."""
     body = meshes.block(MPI.COMM_SELF, (1.0, 1.0), n=1)

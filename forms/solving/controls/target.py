@@ -192,8 +192,7 @@ class Targets(Continuation):
             return None
         if self._turns():
             del self._past[1:]  # the way leads back, or elsewhere
-            if len(self.q) > 1:
-                self._cut_account()
+            self._cut_account()
         self._from, self._reached = target, self.place
         notes = {"target": _plain(target)}
         if len(self.q) > 1:
