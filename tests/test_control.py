@@ -58,6 +58,16 @@ def test_the_limit_point_itself():
     assert c - b**2 / (4 * a) == pytest.approx(1.2394629, rel=1e-4)
 
 
+@pytest.mark.parametrize("count, end", [(2, 3.0), (3, 3.0), (4, 2.0), (5, 1.6), (6, 1.6), (8, 3.0)])
+def test_a_peak_between_any_targets_is_a_limit_point(count, end):
+    """Wherever steps lie around it, two states or many: 1.2394629 to the mesh's 5e-4."""
+    potential, u, held, p, volume = sphere(0.5, 2)
+    targets = forms.integral(volume) * np.linspace(1.05, end, count) ** 3
+    (event,) = forms.control(potential, u, held, p, volume, targets, progress=False).events
+    assert (event.kind, event.before, event.after) == ("limit point", 0, 1)
+    assert event.load == pytest.approx(1.2394629, rel=5e-4)
+
+
 def test_a_load_found_from_a_displacement():
     """The traction that moves the end as far as a given traction does is that traction."""
     body = meshes.block(MPI.COMM_SELF, (4.0, 1.0), n=(8, 2), cells="quadrilateral")

@@ -174,8 +174,9 @@ class Branch:
         if len(self.q) > 1:
             kind = "limit point" if self._folds(states) else "bifurcation"
             return Event(load, kind, before, after)
-        if abs(after - before) == 1 and self._turned(states):
-            return Event(self._extremum(states), "limit point", before, after)
+        found = self._turned(states) or (self.corrector.border is not None and self._folds(states))
+        if abs(after - before) == 1 and found:
+            return Event(self._extremum(states, place), "limit point", before, after)
         return Event(load, "bifurcation", before, after)
 
     def _turned(self, states: Sequence[State]) -> bool:
@@ -208,15 +209,22 @@ class Branch:
         (here, s_here), (before, s_before) = counts
         return abs(here - before) == abs(s_here - s_before)
 
-    def _extremum(self, states: Sequence[State]) -> float:
-        """Load factor at which it turns between the first two states, solved for. Collective."""
-        ends, rising = states[:2], states[1].load > states[2].load
-        place = _turning_place(states, ends, rising)
-        self.aim(place)
-        self.move(through(states, place))
-        if self.corrector.solve(self.level).converged:
-            states = sorted([self.here(place), *states], key=lambda state: -state.place)
-            place = _turning_place(states, ends, rising)
+    def _extremum(self, states: Sequence[State], place: float) -> float:
+        """Load factor at which it turns between the first two states, solved for. Collective.
+
+        Near the place where the curve through all turns, or else near a given one.
+        """
+        ends = states[:2]
+        turning = _turning_place(states, ends, states[1].load > states[:3][-1].load)
+        place = turning if _lies_within(turning, ends) else place
+        if _lies_within(place, ends):
+            self.aim(place)
+            self.move(through(states, place))
+            if self.corrector.solve(self.level).converged:
+                here = self.here(place)
+                states = sorted([here, *states], key=lambda state: -state.place)
+                rising = here.load > (ends[0].load + ends[1].load) / 2
+                place = _turning_place(states, ends, rising)
         return through(states, place).load
 
     def here(self, place: float) -> State:
@@ -238,6 +246,12 @@ class Branch:
         self.move(state)
         for support in self.path.problem.supports:
             support.update()
+
+
+def _lies_within(place: float, ends: Sequence[State]) -> bool:
+    """Whether a place is between two states, and not all but at one of them."""
+    step = ends[0].place - ends[1].place
+    return BESIDE / 10 < (place - ends[1].place) / step < 1 - BESIDE / 10
 
 
 def _turning_place(states: Sequence[State], ends: Sequence[State], rising: bool) -> float:
