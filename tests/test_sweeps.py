@@ -175,10 +175,8 @@ def test_the_cycle_is_that_of_the_formula():
         options.delValue(name)
     levels = pc.getPythonContext().levels
     assert levels.getMGLevels() == 2
-    K, prolongation = (
-        M.convert("dense", PETSc.Mat()).getDenseArray().copy()
-        for M in (A, levels.getMGInterpolation(1))
-    )
+    full = [M.convert("dense", PETSc.Mat()) for M in (A, levels.getMGInterpolation(1))]
+    K, prolongation = (M.getDenseArray().copy() for M in full)  # views of what they own
     below, given = levels.getMGCoarseSolve(), levels.getMGInterpolation(1).createVecRight()
     found = given.duplicate()
     b, x = A.createVecs()
