@@ -45,9 +45,9 @@ class Sums:
         V: Any = None if linear is None else linear.arguments()[0].ufl_function_space()
         plain, beside, rest = _sorted(functional)
         forces, forces_beside, forces_rest = ([], [], []) if linear is None else _sorted(linear)
-        made = [*plain, *forces] and several(_joined(V, plain, forces))
+        made = several(_joined(V, plain, forces)) if plain or forces else None
         self._batches: list[tuple[Any, Any, Batch]] = []
-        if made and made.found is not None:
+        if made is not None and made.found is not None:
             self._batches.append((made.found.lib, made.found.ffi, made))
         else:
             rest, forces_rest = rest + plain, forces_rest + forces
@@ -57,11 +57,18 @@ class Sums:
         self._rest, self._rest_linear = (
             compiled(ufl.Form(others)) if others else None for others in (rest, forces_rest)
         )
+        self._numbers: NDArray[np.int32] | None = None
         if V is not None:
             self._numbers, self._size = np.ascontiguousarray(V.dofmap.list, np.int32), V.dofmap.bs
 
     def value(self) -> float:
-        """The functional on this rank, where there is no linear form. Local."""
+        """The functional on this rank. Local.
+
+        Raises:
+            TypeError: there is a linear form, whose kernels write more than one number.
+        """
+        if self._numbers is not None:
+            raise TypeError("sums with a linear form give the functional by add_with_value().")
         total = self._others()
         for lib, _, *arguments in self._calls():
             total += lib.cells_sum(*arguments)
@@ -80,6 +87,7 @@ class Sums:
 
     def _added(self, b: NDArray[np.float64]) -> float:
         """Add the linear form; what the functional has over cells."""
+        assert self._numbers is not None
         if self._rest_linear is not None:
             fem.assemble_vector(b, self._rest_linear)
         total = 0.0

@@ -270,7 +270,7 @@ def measured(J: Any, problem: Problem, border: Any, what: str) -> Any:
     Args:
         J: What is given.
         problem: Whose solution it is measured on.
-        border: Scalars that are found, then the functionals that they hold, if any.
+        border: What is held (:class:`forms.paths.Held`), if anything.
         what: Who asks, for messages.
 
     Raises:
@@ -280,7 +280,7 @@ def measured(J: Any, problem: Problem, border: Any, what: str) -> Any:
         return J
     if isinstance(J, ufl.Form):
         return Functional(J, problem)
-    if border is not None and any(J is q for q in border[: len(border) // 2]):
+    if border is not None and any(J is q for q in border.q):
         return Scalar(J)
     raise ValueError(
         f"{what} differentiates a functional (a UFL form), a forms.Reaction, or the scalar that "

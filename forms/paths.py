@@ -9,6 +9,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from .barriers import Clearance
@@ -141,6 +142,13 @@ class Event(NamedTuple):
         return f"{self.kind} at load factor {self.load:.6g}{counts}{freed}"
 
 
+class Held(NamedTuple):
+    """Scalars that were found, and as many functionals that they hold."""
+
+    q: tuple[fem.Constant, ...]
+    functionals: tuple[ufl.Form, ...]
+
+
 @dataclass(eq=False)
 class Path:
     """Outcome of a solve: the unknown at the last converged load, and how it got there.
@@ -161,7 +169,7 @@ class Path:
         floor: Energy [J] that tolerances leave unknown.
         accounts: Rows of the ledger that are known step by step, those of motions.
         velocity, acceleration: Of a motion at its last time; None in statics.
-        held: Scalars that were found, then the functionals that they hold, after ``control``.
+        held: What ``control`` holds, and the scalars that it has found; None elsewhere.
     """
 
     u: fem.Function
@@ -180,7 +188,7 @@ class Path:
     accounts: Ledger = field(default_factory=Ledger)
     velocity: fem.Function | None = None
     acceleration: fem.Function | None = None
-    held: tuple[Any, ...] | None = None
+    held: Held | None = None
 
     @property
     def ledger(self) -> Ledger:

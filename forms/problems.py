@@ -182,12 +182,13 @@ class Problem:
 
         For less than both by themselves. 0 where only a residual was given.
         """
-        energy = self.forms.energy_and_residual(self._empty(b)) or 0.0
+        energy = self.forms.energy_and_residual(self._empty(b))
         for term in self.terms[1:]:
-            energy += term.energy() or 0.0
             term.residual(b)
+            if energy is not None:
+                energy += term.energy() or 0.0
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return energy
+        return energy or 0.0
 
     def lifted_residual(self, b: PETSc.Vec) -> None:
         """Assemble R + K (prescribed - u) into b: the residual after a linear move to the supports.

@@ -124,6 +124,8 @@ def sums_agree(psi, u):
     assert found == pytest.approx(b, abs=1e-13 * np.abs(b).max())
     both.add(again)
     assert np.array_equal(again, found)
+    with pytest.raises(TypeError, match="by add_with_value"):
+        both.value()
     assert Sums(psi).value() == pytest.approx(value, rel=1e-14)
 
 

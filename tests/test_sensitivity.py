@@ -259,7 +259,7 @@ def test_the_scalar_that_control_found_is_no_parameter():
     scene = scenes.SCENES["volume"](MPI.COMM_SELF)
     path = scene.solve()
     with pytest.raises(ValueError, match="the scalar that control has found is no parameter"):
-        forms.gradient(path, scene.measured["functional"], path.held[0])
+        forms.gradient(path, scene.measured["functional"], path.held.q[0])
 
 
 def thrown(path):

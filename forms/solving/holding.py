@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..measured import Functional, Scalar
 from ..parameters import Slope
+from ..paths import Held
 from ..problems import Problem
 from .linearized import Linearized
 
@@ -28,7 +29,7 @@ class Holding:
 
     Args:
         problem: What is solved.
-        border: Scalars q, then the functionals that they hold.
+        border: Scalars q, and the functionals that they hold.
         R: Residual at the function of adjoints.
         measured: Objects of :mod:`forms.measured`.
 
@@ -41,12 +42,12 @@ class Holding:
     def __init__(
         self,
         problem: Problem,
-        border: tuple[Any, ...],
+        border: Held,
         R: ufl.Form,
         measured: list[Any],
     ) -> None:
-        self.problem, self.q = problem, border[: len(border) // 2]
-        self.functionals = [Functional(form, problem) for form in border[len(self.q) :]]
+        self.problem, self.q = problem, border.q
+        self.functionals = [Functional(form, problem) for form in border.functionals]
         self.forms = [functional.form for functional in self.functionals]
         self._R_q = [Slope(R, q) for q in self.q]
         self._G_q = [[Slope(form, q) for form in self.forms] for q in self.q]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..compilation import compiled
 from ..measured import Displacements, Functional, Reaction, Scalar
 from ..parameters import Slope, SupportSlopes
+from ..paths import Held
 from ..problems import Problem
 from .linearized import Linearized
 from .sensitivity import by_matrix, check_memory
@@ -56,7 +57,7 @@ class Rates:
         problem: What is solved.
         measured: Objects of :mod:`forms.measured`.
         parameters: Constants.
-        border: Scalars q, then the functionals that they hold, if any.
+        border: What is held, if anything.
     """
 
     def __init__(
@@ -74,9 +75,8 @@ class Rates:
             for m in parameters
         ]
         self._b, self._x = problem.create_vector(), problem.create_vector()
-        border = border or ()
-        self._q = border[: len(border) // 2]
-        self._G = [Functional(form, problem) for form in border[len(self._q) :]]
+        held: Held = border or Held((), ())
+        self._q, self._G = held.q, [Functional(form, problem) for form in held.functionals]
         self._R_q = [Slope(R, q) for q in self._q]
         self._G_q = [[Slope(G.form, q) for q in self._q] for G in self._G]
         self._G_m = [[Slope(G.form, m) for G in self._G] for m in parameters]

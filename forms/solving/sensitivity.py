@@ -93,7 +93,7 @@ def sensitivity(path: Any, J: Any, parameters: Any, what: str) -> Sensitivity:
         raise ValueError(f"{what} needs a state at rest: paths in time are not differentiated.")
     border = getattr(path, "held", None)
     listed = check_parameters(parameters, problem, what)
-    given = (J, *(border or ()), *listed)
+    given = (J, *((*border.q, *border.functionals) if border else ()), *listed)
     known = vars(problem).setdefault("_sensitivities", [])
     if isinstance(J, Displacements):
         raise ValueError(f"{what} differentiates one number, got displacements: integrate them.")
@@ -169,7 +169,7 @@ class Sensitivity:
         problem: What is solved.
         measured: Objects of :mod:`forms.measured`.
         parameters: Checked parameters.
-        border: Scalars q, then the functionals that they hold, if any.
+        border: What is held, if anything.
 
     Attributes:
         R: Residual at the function of adjoints.

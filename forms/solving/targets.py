@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from .. import _checks
 from ..files.checkpoint import Archive, Checkpoint
-from ..paths import Path, check_record
+from ..paths import Held, Path, check_record
 from ..problems import Problem
 from ..supports import Support
 from .border import Border, Values, scalar
@@ -94,7 +94,8 @@ def control(
         _checks.form_of(each, problem.u.function_space.mesh, "a functional")
     archive = None if checkpoint is None else Archive(checkpoint, problem.u, "path of control")
     newton = newton_for(problem, options, prefix, rtol, ctol, "never", settings, factorized=True)
-    path = Path(problem.u, problem, begin=float(scalars[0].value), held=(*scalars, *functionals))
+    held = Held(tuple(scalars), tuple(functionals))
+    path = Path(problem.u, problem, begin=float(scalars[0].value), held=held)
     try:
         border = Border(problem, scalars, newton.tangent)
         along = Targets(path, newton, border, functionals, rows)

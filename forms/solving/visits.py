@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..measured import measured
-from ..paths import NotConverged
+from ..paths import Held, NotConverged
 from .data import Data
 from .following import follow, solve
 from .linearized import Linearized
@@ -47,7 +47,7 @@ class Visits:
         self.loads: list[Any] = [None]
         if sequences:
             self.loads = [*(sequences[0] if same else sorted({x for s in sequences for x in s}))]
-        border = (*self.t, *self.held) if self.held else None
+        border = Held(self.t, self.held) if self.held else None
         self.measured = [measured(d.what, self.problem, border, "fit") for d in data]
         self.rates = self.adjoint = None
         if forward:

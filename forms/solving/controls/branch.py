@@ -214,8 +214,8 @@ class Branch:
 
         Near the place where the curve through all turns, or else near a given one.
         """
-        ends = states[:2]
-        turning = _turning_place(states, ends, states[1].load > states[:3][-1].load)
+        ends, rising = states[:2], len(states) > 2 and states[1].load > states[2].load
+        turning = _turning_place(states, ends, rising)
         place = turning if _lies_within(turning, ends) else place
         if _lies_within(place, ends):
             self.aim(place)
