@@ -33,11 +33,11 @@ def owned_part(A: PETSc.Mat) -> Part:
 def parts(A: PETSc.Mat) -> tuple[list[Part], NDArray[np.int32]]:
     """Diagonal and off-diagonal part of an AIJ matrix, and the latter's columns in the whole.
 
-    Local. On one rank both parts are the matrix itself, and no columns are returned. The arrays are
-    PETSc's own and live as long as the matrix has its pattern.
+    Local; the state stays the same. On one rank both parts are the matrix itself, and no columns
+    are returned. The arrays are PETSc's own and live as long as the matrix has its pattern.
     """
     matrices, names = _sequential(A)
-    found = [_part(*pair) for pair in zip(matrices, values(A), strict=True)]
+    found = [_part(each, _stored(each, "Read")) for each in matrices]
     width = int(found[-1].columns.max(initial=-1)) + 1 if len(found) == 2 else 0
     return [found[0], found[-1]], _array(names, width)
 
@@ -52,7 +52,7 @@ class OffDiagonal:
     def __init__(self, A: PETSc.Mat) -> None:
         (_, self._part), names = _sequential(A)
         rows, columns = ctypes.c_int32(), ctypes.c_int32()
-        _call("MatGetLocalSize", self._part, *map(ctypes.byref, (rows, columns)))
+        call("MatGetLocalSize", self._part, *map(ctypes.byref, (rows, columns)))
         self._ghosts, self._product = PETSc.Vec(), PETSc.Vec()
         self._ghosts.createSeq(columns.value)
         self._product.createSeq(rows.value)
@@ -66,7 +66,7 @@ class OffDiagonal:
         """Its product with a vector of all ranks; valid until the next one. Collective."""
         self._scatter.scatter(x, self._ghosts)
         handles = (ctypes.c_void_p(v.handle) for v in (self._ghosts, self._product))
-        _call("MatMult", self._part, *handles)
+        call("MatMult", self._part, *handles)
         return self._product.array_r
 
     def destroy(self) -> None:
@@ -89,23 +89,23 @@ def said(error: PETSc.Error) -> str:
 def option_was_used(name: str) -> bool:
     """Whether PETSc has asked for an option of this whole name, prefix included."""
     used = ctypes.c_int(0)
-    _call("PetscOptionsUsed", None, name.encode(), ctypes.byref(used))
+    call("PetscOptionsUsed", None, name.encode(), ctypes.byref(used))
     return bool(used.value)
 
 
 def replace_by_sum(A: PETSc.Mat, summands: list[PETSc.Mat]) -> None:
     """Let A be the sum of matrices, with their joint pattern, for all who hold it. Collective."""
     total = ctypes.c_void_p()
-    _call("MatDuplicate", ctypes.c_void_p(summands[0].handle), 1, ctypes.byref(total))
+    call("MatDuplicate", ctypes.c_void_p(summands[0].handle), 1, ctypes.byref(total))
     for other in summands[1:]:
         one, pattern = ctypes.c_double(1.0), 0  # DIFFERENT_NONZERO_PATTERN
-        _call("MatAXPY", total, one, ctypes.c_void_p(other.handle), pattern)
-    _call("MatHeaderReplace", ctypes.c_void_p(A.handle), ctypes.byref(total))
+        call("MatAXPY", total, one, ctypes.c_void_p(other.handle), pattern)
+    call("MatHeaderReplace", ctypes.c_void_p(A.handle), ctypes.byref(total))
 
 
 def lag_jacobian(snes: PETSc.SNES, lag: int) -> None:
     """How often SNES assembles its Jacobian: 1 always, -1 never again, -2 once more; collective."""
-    _call("SNESSetLagJacobian", ctypes.c_void_p(snes.handle), lag)
+    call("SNESSetLagJacobian", ctypes.c_void_p(snes.handle), lag)
 
 
 def lapack(*names: str) -> list[int]:
@@ -120,7 +120,7 @@ def _sequential(A: PETSc.Mat) -> tuple[list[ctypes.c_void_p], Any]:
     if A.getType() != "mpiaij":
         return [whole], names
     two = [ctypes.c_void_p(), ctypes.c_void_p()]
-    _call("MatMPIAIJGetSeqAIJ", whole, *map(ctypes.byref, (*two, names)))
+    call("MatMPIAIJGetSeqAIJ", whole, *map(ctypes.byref, (*two, names)))
     return two, names
 
 
@@ -129,18 +129,18 @@ def _part(matrix: ctypes.c_void_p, stored: NDArray[np.float64]) -> Part:
     count, done = ctypes.c_int32(), ctypes.c_int32()
     rows, columns = (ctypes.POINTER(ctypes.c_int32)() for _ in range(2))
     plain = (ctypes.c_int32(0),) * 3  # numbers from 0, the pattern as it is, not of blocks
-    _call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
+    call("MatGetRowIJ", matrix, *plain, *map(ctypes.byref, (count, rows, columns, done)))
     return Part(_array(rows, count.value + 1), _array(columns, len(stored)), stored)
 
 
 def _stored(matrix: ctypes.c_void_p, way: str = "") -> NDArray[np.float64]:
     """PETSc's array of a sequential matrix."""
     address, info = ctypes.POINTER(ctypes.c_double)(), (ctypes.c_double * _NUMBERS)()
-    _call(f"MatSeqAIJGetArray{way}", matrix, ctypes.byref(address))
-    _call("MatGetInfo", matrix, _LOCAL, info)
+    call(f"MatSeqAIJGetArray{way}", matrix, ctypes.byref(address))
+    call("MatGetInfo", matrix, _LOCAL, info)
     found = _array(address, int(info[2]))
     # Returned before it is written to: A.assemble() always follows.
-    _call(f"MatSeqAIJRestoreArray{way}", matrix, ctypes.byref(address))
+    call(f"MatSeqAIJRestoreArray{way}", matrix, ctypes.byref(address))
     return found
 
 
@@ -149,7 +149,7 @@ def _array(address: Any, size: int) -> NDArray:
     return np.ctypeslib.as_array(address, (size,)) if size else np.empty(0, address._type_)
 
 
-def _call(name: str, *arguments: Any) -> None:
+def call(name: str, *arguments: Any) -> None:
     """Call a function of PETSc."""
     error = getattr(_LIBRARY, name)(*arguments)
     if error:

@@ -21,6 +21,7 @@ from .unknowns import Field, displacement_field
 
 _KINDS = {"solid": 0, "revolved": 1, "surface": 2}
 _MAX_DEGREE = 3
+SOME = 10_000  # cells whose nodes are placed at a time: for all at once it takes as much as a mesh
 _SIMPLICES = ("triangle", "tetrahedron")
 _CELLS = (*_SIMPLICES, "quadrilateral", "hexahedron")
 _C = {"d": "double *", "i": "int32_t *", "h": "int16_t *", "b": "int8_t *"}
@@ -124,7 +125,6 @@ class VolumeBounds:
         whose basis goes beside that of u.
         """
         v, (x, geometry), space = self._struct, self._geometry, self._space
-        X = x[geometry, :space]
         dofmap = field.view.dofmap
         numbers = dofmap.list[: v.cells]
         numbers = space * numbers if field.place is None else numbers[:, ::space]
@@ -134,7 +134,9 @@ class VolumeBounds:
             N = self._chart.tabulate(0, element.basix_element.points)[0]
             N[np.abs(N) < 1e-14] = 0  # no node is beside an axis of revolution that it is on
             self._x: Array = np.zeros(count)
-            self._x[numbers[:, :, None] + np.arange(space)] = np.einsum("pa,cai->cpi", N, X)
+            for n in range(0, v.cells, SOME):
+                at, X = numbers[n : n + SOME, :, None], x[geometry[n : n + SOME], :space]
+                self._x[at + np.arange(space)] = np.einsum("pa,cai->cpi", N, X)
         else:
             self._bases.append(self._chart)
             self._x = np.concatenate([np.zeros(count), x[:, :space].ravel()])

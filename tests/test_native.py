@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+import test_coarse
 import ufl
 from cases import LMBDA, MU, unit_mesh
 from dolfinx import fem
@@ -237,14 +238,14 @@ for energy, shape in (three, (3, 3)), (two, (3, 2)), (two, (2, 2)):
     for n in 1, 5, 50:
         for project in False, True:
             assert np.isfinite(energy.evaluate(F[:n], project=project)[1]).all()
-print("finished")
 """
 
 
 def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch):
     """The compiler's sanitizers of addresses and of undefined behavior find nothing in the C.
 
-    In point and cell kernels, projection, insertion with supports and facets, sweeps, bounds of J.
+    In point and cell kernels, projection, insertion with supports and facets, sweeps, products by
+    blocks, bounds of J.
     """
     libraries = []
     for name in "libasan.so", "libubsan.so", "libstdc++.so.6":
@@ -262,7 +263,8 @@ def test_nothing_is_read_or_written_beyond_its_array(run, tmp_path, monkeypatch)
     monkeypatch.setenv("ASAN_OPTIONS", "detect_leaks=0")
     if run("-c", "from mpi4py import MPI", check=False).returncode:
         pytest.skip("MPI itself does not start with this compiler's libasan loaded")
-    done = run("-c", SANITIZED, cwd=tmp_path)
+    products = f"{test_coarse.RANKS}\nassert max(deviations()) <= {test_coarse.DIGITS}"
+    done = run("-c", f"{SANITIZED}\n{products}\nprint('finished')", cwd=tmp_path)
     assert done.stdout.strip() == "finished"
     assert list((tmp_path / "cache" / "fenics").glob("libvariform_*"))
 

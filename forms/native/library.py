@@ -93,7 +93,24 @@ long sweeps_count(int nodes, const int32_t *rows, const int32_t *columns);
 double sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, const double *values);
 void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, double *r,
                   float *room);
-extern const long declared[15];
+typedef struct { const int32_t *rows, *columns; const double *values; } rows_t;
+typedef struct { int nodes; const int32_t *starts, *columns; const double *values; } block_rows_t;
+int blocks_full(const rows_t *p, int nodes, int R, int K);
+void blocks_take(const rows_t *p, const int32_t *const *names, int nodes, int R, int K,
+                 int32_t *starts, int32_t *columns, double *values);
+int products_reach(const rows_t *A, const block_rows_t *P, int nodes, int R, int32_t *mark,
+                   int32_t *starts, int32_t *columns);
+void products_rows(int coarse, const int32_t *of_column[2], const int32_t *reach[2],
+                   const int32_t *more[2], int32_t *mark, int32_t *starts, int32_t *columns);
+void products_add(const rows_t *A, const block_rows_t *P, int nodes, int R, const int32_t *reach[2],
+                  int32_t *mark, const int32_t *starts, const int32_t *columns, double *values,
+                  double *room);
+void products_add_rows(int count, const int32_t *rows, const int32_t *given_starts,
+                       const int32_t *given, const double *numbers, const int32_t *starts,
+                       const int32_t *columns, double *values);
+void products_numbers(int count, const int32_t *starts, const int32_t *columns,
+                      const int32_t *names, int32_t *rows, int32_t *out);
+extern const long declared[18];
 """
 _ELEMENT = """
 extern void (*moduli_together)(tabulate_t, int, double *const *, const double *const *,
@@ -120,9 +137,12 @@ _STRUCTURES = (
     "geometry_t",
     "validity_t",
     "sweeps_t",
+    "rows_t",
+    "block_rows_t",
 )
 MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS = 8, 16, 64
 TOGETHER, MAX_PARTS, MAX_LINE = 8, 256, 16  # cells at a time, parts of a cell, numbers in a line
+MODES = 6  # rigid motions in space
 
 
 def library(comm: MPI.Comm) -> tuple[Any, Any]:
@@ -253,7 +273,7 @@ def _load(path: Path) -> tuple[Any, Any]:
     ffi = _interface(_INSERTION + _SUMS + _DECLARATIONS)
     loaded: Any = ffi.dlopen(str(path))
     ours = [*map(ffi.sizeof, _STRUCTURES), KERNELS, MAX_OPERATORS, MAX_PIECES, MAX_PARAMETERS]
-    ours += [TOGETHER, MAX_PARTS, MAX_LINE]
+    ours += [TOGETHER, MAX_PARTS, MAX_LINE, MODES]
     if list(loaded.declared) != ours:
         raise RuntimeError(
             f"{path} declares other structures than Python, sizes and limits {ours} here and "

@@ -9,6 +9,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from ...native.library import library
+from .coarse import products
 from .sweeps import Sweeps
 
 
@@ -33,7 +34,8 @@ class Cycle:
         """Find the levels of the matrix. Collective."""
         self._free()
         self.levels.setOperators(*pc.getOperators())
-        self.levels.setUp()
+        with products.of(pc.getOperators()[1]):
+            self.levels.setUp()
         self._coarse = self.levels.getMGCoarseSolve()
         numbers = range(1, self.levels.getMGLevels())
         self._all = [_Level(self.levels, n, self._loaded) for n in numbers]

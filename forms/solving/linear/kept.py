@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from petsc4py import PETSc
@@ -17,7 +16,6 @@ from .cycle import cycled
 from .fieldsplit import FieldSplit
 from .order import OrderMultigrid
 
-TWO_PRODUCTS_UP_TO, AT_ONCE_FROM = 20_000, 100_000  # unknowns
 CYCLES = 2.0  # by aggregation alone, that cost as much as one over the order
 PROBED = 1e-3  # relative tolerance of a solve that looks for negative curvature
 
@@ -99,9 +97,6 @@ class Kept:
         if self._own[1] and self.stale:
             most = min(most, max(20, int(settings.patience * self._first * -np.log10(self._asked))))
         ksp.setTolerances(rtol=self._asked, max_it=most)
-        if not self.stale:
-            with _chosen_products(ksp, self._problem):
-                ksp.setUp()
 
     def begin(self) -> None:
         """Forget how earlier solves went, and build anew at the next tangent."""
@@ -162,9 +157,6 @@ class Kept:
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         self._probing = True
         try:
-            if not self.stale:
-                with _chosen_products(ksp, self._problem):
-                    ksp.setUp()
             ksp.solve(b, x)
         except PETSc.Error:
             return False
@@ -196,9 +188,7 @@ class Kept:
             return None
         ksp.getPC().setReusePreconditioner(self.stale)
         try:
-            if not self.stale:
-                with _chosen_products(ksp, self._problem):
-                    ksp.setUp()
+            ksp.setUp()
             A, _ = ksp.getOperators()
             reached, count = conjugate_gradients(A, ksp.getPC(), x, r, near, least, self._most)
         except PETSc.Error:
@@ -233,27 +223,3 @@ class Kept:
             if item is not None:
                 item.destroy()
         self.used, self._levels, self._blocks = False, None, None
-
-
-@contextmanager
-def _chosen_products(ksp: PETSc.KSP, problem: Problem) -> Iterator[None]:
-    """Coarse operators by the products that suit the size, where these are not PETSc's default.
-
-    By two, a third of the set-up less, on one rank where their memory does not matter. All at once
-    on several ranks where it does: a quarter to a third less memory on each, and up to 2.6 times
-    the set-up; with the default each rank takes almost as much as one alone. PETSc reads the option
-    without a prefix, ``-matptap_via``; the user's is kept.
-    """
-    options, name, way = PETSc.Options(), "matptap_via", ""
-    if ksp.comm.size == 1 and problem.size <= TWO_PRODUCTS_UP_TO:
-        way = "rap"
-    elif ksp.comm.size > 1 and problem.size >= AT_ONCE_FROM:
-        way = "allatonce"
-    ours = way and not options.hasName(name)
-    if ours:
-        options[name] = way
-    try:
-        yield
-    finally:
-        if ours:
-            options.delValue(name)
