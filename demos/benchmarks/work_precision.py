@@ -52,7 +52,8 @@ def measured(case):
         options = {"ksp_rtol": float(case.method.split()[-1])}
     times = []
     try:
-        while not times or (max(times) < 1 and len(times) < 3):
+        # The first solve is the one that compiles, and is not counted.
+        while len(times) < 2 or (max(times[1:]) < 1 and len(times) < 4):
             problem.unknown.x.array[:] = 0
             start, newton = time.process_time(), forms.solving.Newton(system, options)
             newton.predict()
@@ -67,7 +68,7 @@ def measured(case):
         "converged": outcome.converged,
         "Newton": outcome.iterations,
         "linear": outcome.linear_iterations,
-        "seconds": float(f"{np.median(times):.3g}"),
+        "seconds": float(f"{np.median(times[1:]):.3g}"),
         "value": problem.value(),
         "energy": system.energy(),
         "exact": problem.exact,

@@ -4,7 +4,8 @@
    A smoother need not be exact, and what a sweep costs is reading the matrix: of a symmetric one
    half is enough, in blocks half of the column numbers and more go, and so does half of each
    number. Where a node is so much stiffer one way than another that single precision would lose the
-   latter, the least pivot tells. Blocks are kept by columns of four numbers, the last one 0. */
+   latter, the least pivot tells. Blocks are kept by columns of three numbers: a register has the next one,
+   too, which meets a 0 or goes where nobody looks. Inverses have columns of four, the last one 0. */
 #ifndef VARIFORM_SWEEPS_H
 #define VARIFORM_SWEEPS_H
 
@@ -18,7 +19,7 @@ typedef float quad_t __attribute__((vector_size(16), aligned(4), may_alias));
 typedef struct {
   int nodes;
   int32_t *starts, *columns; /* of each row of blocks; of each block, by nodes */
-  float *blocks, *inverse;   /* 12 numbers each */
+  float *blocks, *inverse;   /* 9 numbers each, and one behind them all that is 0; 12 each */
   double scale;
 } sweeps_t;
 
@@ -105,26 +106,27 @@ double sweeps_fill(sweeps_t *s, const int32_t *rows, const int32_t *columns, con
         least = fmin(least, invert_block(D, s->inverse + 12L * i));
         continue;
       }
-      float *block = s->blocks + 12 * at;
-      for (int n = 0; n < 12; n++)
-        block[n] = n % 4 < 3 ? (float)(factor * values[row[n % 4] + k + n / 4]) : 0;
+      float *block = s->blocks + 9 * at;
+      for (int n = 0; n < 9; n++)
+        block[n] = (float)(factor * values[row[n % 3] + k + n / 3]);
       s->columns[at++] = j;
     }
   }
   s->starts[s->nodes] = (int32_t)at;
+  s->blocks[9 * at] = 0;
   return least;
 }
 
-/* B x of a block. */
+/* B x of an inverse. */
 static inline quad_t times(const float *B, quad_t x)
 {
   return quad(B) * x[0] + quad(B + 4) * x[1] + quad(B + 8) * x[2];
 }
 
-/* B^T x of a block: the sums of three products, by turning them. */
+/* B^T x of a block, where the fourth number of x is 0: the sums of three products, by turning them. */
 static inline quad_t transposed_times(const float *B, quad_t x)
 {
-  const quad_t none = {0}, p = quad(B) * x, q = quad(B + 4) * x, r = quad(B + 8) * x;
+  const quad_t none = {0}, p = quad(B) * x, q = quad(B + 3) * x, r = quad(B + 6) * x;
   const quad_t pq = __builtin_shufflevector(p, q, 0, 4, 1, 5) +
                     __builtin_shufflevector(p, q, 2, 6, 3, 7);
   const quad_t r0 = __builtin_shufflevector(r, none, 0, 4, 1, 5) +
@@ -138,15 +140,15 @@ static inline quad_t rounded(const double *x, double factor)
   return (quad_t){(float)(factor * x[0]), (float)(factor * x[1]), (float)(factor * x[2]), 0};
 }
 
-/* Row i of L, times y. */
+/* Row i of L, times y; of the result three numbers are meant. */
 static inline quad_t row_times(const sweeps_t *s, long i, const float *y)
 {
   quad_t a = {0}, a1 = {0}, a2 = {0};
   for (int32_t k = s->starts[i]; k < s->starts[i + 1]; k++) {
-    const float *B = s->blocks + 12L * k, *z = y + 4L * s->columns[k];
+    const float *B = s->blocks + 9L * k, *z = y + 4L * s->columns[k];
     a += quad(B) * z[0];
-    a1 += quad(B + 4) * z[1];
-    a2 += quad(B + 8) * z[2];
+    a1 += quad(B + 3) * z[1];
+    a2 += quad(B + 6) * z[2];
   }
   return a + a1 + a2;
 }
@@ -175,7 +177,7 @@ void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, 
   for (long i = 0; !from_zero && i < nodes; i++) {
     const quad_t old = rounded(x + 3 * i, before);
     for (int32_t k = s->starts[i]; k < s->starts[i + 1]; k++)
-      *(quad_t *)(given + 4L * s->columns[k]) += transposed_times(s->blocks + 12L * k, old);
+      *(quad_t *)(given + 4L * s->columns[k]) += transposed_times(s->blocks + 9L * k, old);
   }
   for (long i = 0; i < nodes; i++) {
     const quad_t a = rounded(b + 3 * i, factor) - quad(given + 4 * i) - row_times(s, i, room);
@@ -186,7 +188,7 @@ void sweeps_apply(const sweeps_t *s, const double *b, double *x, int from_zero, 
     const quad_t more = times(s->inverse + 12 * i, quad(given + 4 * i));
     const quad_t z = quad(room + 4 * i) + more;
     for (int32_t k = s->starts[i]; k < s->starts[i + 1]; k++)
-      *(quad_t *)(given + 4L * s->columns[k]) -= transposed_times(s->blocks + 12L * k, z);
+      *(quad_t *)(given + 4L * s->columns[k]) -= transposed_times(s->blocks + 9L * k, z);
     for (int n = 0; n < 3; n++)
       x[3 * i + n] = back * (double)z[n];
     *(quad_t *)(room + 4 * i) = -more;

@@ -15,7 +15,7 @@ from ... import _petsc
 from ...native.library import library
 
 LEAST = 1e-4  # pivot of a node's block over its diagonal: three digits of seven are left
-ROOM, BLOCK = 8, 12  # numbers a node, numbers a block (kernels/sweeps.h)
+ROOM, BLOCK, INVERSE = 8, 9, 12  # numbers a node, a block, an inverse (kernels/sweeps.h)
 
 
 class Sweeps:
@@ -52,8 +52,8 @@ class Sweeps:
         self._arrays = (
             np.empty(nodes + 1, np.int32),
             np.empty(count, np.int32),
-            np.empty(BLOCK * count, np.float32),
-            np.empty(BLOCK * nodes, np.float32),
+            np.empty(BLOCK * count + 1, np.float32),
+            np.empty(INVERSE * nodes, np.float32),
         )
         self._room = np.empty(ROOM * nodes, np.float32)
         self._record = r = self._ffi.new("sweeps_t *")
