@@ -127,10 +127,11 @@ def test_benchmark_of_sensitivities_runs(run, tmp_path):
 
 
 def test_benchmark_of_multigrid_runs(run, tmp_path):
-    """Toy sizes: every element is solved both ways."""
+    """Toy sizes: every element is solved both ways, the mixed ones in both bodies."""
     done = run("-m", "demos.benchmarks.multigrid", "--small", "P2", "Q2-Q1", cwd=tmp_path)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [row["what"] for row in rows] == 2 * ["solve", "twist", "twist"]
+    assert [row["what"] for row in rows] == 3 * ["solve", "twist", "twist"]
+    assert [row["body"] for row in rows] == 6 * ["bar"] + 3 * ["cube"]
     assert all(5 < row["iterations"] < 60 for row in rows if row["what"] == "solve")
     assert (tmp_path / "results" / "multigrid.csv").stat().st_size > 200
 
