@@ -106,17 +106,6 @@ class Corrector:
         """Negative eigenvalues of the last tangent; None where they are not known. Collective."""
         return self.newton.tangent.negative()
 
-    def stable_by_curvature(self) -> bool | None:
-        """Whether CG sees no negative curvature at the present state; None without. Collective.
-
-        Where it does, MUMPS takes the place of multigrid for good, and counts.
-        """
-        kept = self.newton.tangent.kept
-        if not (kept.used and self.problem.minimization) or self.newton.tangent.majorizes:
-            return None
-        self.newton.tangent.refresh()
-        return not kept.sees_negative_curvature()
-
     def refactor(self) -> int | None:
         """Assemble and factorize the tangent at the present state; its negative eigenvalues."""
         tangent = self.newton.tangent
