@@ -40,7 +40,9 @@ class Balance(NamedTuple):
         work: Work of the virtual works over the step to this state [J].
         kind: "" for a step of a path; "start" for one out of a singular state and "jump" for one
             on purpose; "kink" for the same state once more, with the powers behind it, where the
-            load program bends; "between" for one within a step, solved for the account alone.
+            load program bends; "between" for one within a step, solved for the account alone and
+            no further than that needs: what forces out of balance do along the path is in its
+            powers.
         others: q and Pi_q of each further scalar.
     """
 

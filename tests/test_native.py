@@ -310,5 +310,5 @@ def test_structures_are_compared_with_those_of_generated_code(monkeypatch):
     known = library._INSERTION
     monkeypatch.setattr(library, "_INSERTION", known.replace("int facets, lanes; long", "long"))
     with pytest.raises(RuntimeError, match=r"declares other structures.*insertion\.h have to be"):
-        path = library._path(tuple(jit.flags(MPI.COMM_SELF)), text)
+        path = library._path((*jit.flags(MPI.COMM_SELF), library.FUSED), text)
         library._load_made.__wrapped__(path, library._ELEMENT, "moduli")

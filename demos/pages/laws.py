@@ -77,7 +77,8 @@ LAWS = {
     "following": "the path is the user's: the right state of README's twist, the account of its "
     "energy, events, jumps on purpose, SNES's monitor, ranks",
     "accounts": "the ledger closes up to the largest load; states within steps are the account's "
-    "alone, also when resumed; a jump stays unaccounted; ranks",
+    "alone, also when resumed, and no nearer to equilibrium than these need; a jump stays "
+    "unaccounted; ranks",
     "programs": "tables of loads, kinks on which steps end, loads that go back",
     "checkpoint": "a path taken up again is the uninterrupted one; broken files, full disks",
     "checkpoint_refusals": "checkpoints of another mesh, element, way or format are refused before "

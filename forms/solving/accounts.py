@@ -63,8 +63,35 @@ class Accounts:
             way: Change of the load factor by the place, where supports depend on it.
             side: 1 or -1 for quotients above or below the load factor alone, where it has a kink.
         """
+        return self._balance(place, self._powers(side)[0] * way if self._moving else 0.0, side)
+
+    def read_near(
+        self, place: float, way: float, velocity: NDArray[np.float64]
+    ) -> tuple[Balance, float]:
+        """The same at a state that is near the equilibrium at its place. Collective.
+
+        There Pi_q dq/ds + R . du/ds, of the whole R and du/ds, misses what the equilibrium's powers
+        are by a product of two small errors, that of the state and that of du/ds:
+        d/du (R . du/ds + Pi_q dq/ds) = K du/ds + R_q dq/ds, which is 0 along the path.
+
+        Args:
+            place: Where it is along the path.
+            way: Change of the load factor by the place, 1 or -1.
+            velocity: du/ds there of a curve through states around, own entries first.
+
+        Returns:
+            Energy at the state, and powers with what forces out of balance do along the curve; and
+            that part by itself, by the place [J].
+        """
+        power, rest = self._powers(0.0, velocity)
+        found = self._balance(place, power * way, 0.0)
+        if self._moving:
+            return found._replace(power=found.power + rest), rest
+        return found._replace(slope=found.slope + rest * way), rest
+
+    def _balance(self, place: float, power: float, side: float) -> Balance:
+        """Energy, and Pi_q of every scalar, beside the power of the supports. Collective."""
         energy = self.problem.energy()
-        power = self._supports(side) * way if self._moving else 0.0
         loads = [float(c.value) for c in self._q]
         slopes = [
             self._slope(c, side) if explicit else 0.0
@@ -82,8 +109,8 @@ class Accounts:
         c.value = q
         return found
 
-    def _supports(self, side: float) -> float:
-        """R . du_p/dq. Collective."""
+    def _powers(self, side: float, along: NDArray[np.float64] | None = None) -> tuple[float, float]:
+        """R . du_p/dq at prescribed values, and R . ``along`` at all others. Collective."""
         problem, c = self.problem, self._q[0]
         q = float(c.value)
         velocity = np.zeros(self._b.getLocalSize())
@@ -98,7 +125,12 @@ class Accounts:
         for support in problem.supports:
             support.update()
         problem.residual(self._b)
-        return float(problem.comm.allreduce(float(self._b.array_r @ velocity)))
+        own = [float(self._b.array_r @ velocity), 0.0]
+        if along is not None:
+            problem.clear(self._b.array)
+            own[1] = float(self._b.array_r @ along[: velocity.size])
+        held, free = problem.comm.allreduce(np.array(own))
+        return float(held), float(free)
 
     def chord(self) -> tuple[float, float]:
         """Work of the virtual works since the state last kept, by the forces there and here."""

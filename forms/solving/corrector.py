@@ -11,6 +11,8 @@ Problems*, 2011, section 5.1), and the equilibrium found is the one that the pat
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -51,6 +53,7 @@ class Corrector:
         self.problem, self._settings = newton.problem, newton.settings
         self.theta, self.singular, self.met = 0.0, False, False
         self.negative_at_start: int | None = None
+        self._enough: Callable[[float], bool] | None = None
         self._b = newton.problem.create_vector()
         self._snes: PETSc.SNES | None = None
         self._of: PETSc.SNES | None = None
@@ -60,7 +63,13 @@ class Corrector:
         self._used, self._age, self._reason = 0, 0, ""
         self._factors, self._of_factors = False, None
 
-    def solve(self, level: float = 0.0, free: bool = False, keep: bool = False) -> Convergence:
+    def solve(
+        self,
+        level: float = 0.0,
+        free: bool = False,
+        keep: bool = False,
+        enough: Callable[[float], bool] | None = None,
+    ) -> Convergence:
         """Correct the present state to equilibrium; it is left at the last iterate. Collective.
 
         Args:
@@ -69,7 +78,10 @@ class Corrector:
                 damped where it is singular: for the start of a path.
             keep: Begin with the factors of the solve before, where they are still at hand, until
                 their corrections do not contract.
+            enough: Whether an iterate will do, by the displacement [m] that is expected of the next
+                correction; collective. Linear solves are as loose then as outside of paths.
         """
+        self._enough = enough
         newton, scaled = self.newton, self.newton.tangent.scaled
         newton.used()
         self._renewed = False
@@ -105,17 +117,6 @@ class Corrector:
     def negative(self) -> int | None:
         """Negative eigenvalues of the last tangent; None where they are not known. Collective."""
         return self.newton.tangent.negative()
-
-    def stable_by_curvature(self) -> bool | None:
-        """Whether CG sees no negative curvature at the present state; None without. Collective.
-
-        Where it does, MUMPS takes the place of multigrid for good, and counts.
-        """
-        kept = self.newton.tangent.kept
-        if not (kept.used and self.problem.minimization) or self.newton.tangent.majorizes:
-            return None
-        self.newton.tangent.refresh()
-        return not kept.sees_negative_curvature()
 
     def refactor(self) -> int | None:
         """Assemble and factorize the tangent at the present state; its negative eigenvalues."""
@@ -182,7 +183,7 @@ class Corrector:
         tangent.forget_failure()
         self._lift, self._free, self._reason, self.theta = self._misses(), free, "", 0.0
         self._sizes, self._residuals, self._used, self._age = [], [], 0, 0
-        tangent.kept.exact = self._settings.exact
+        tangent.kept.exact = np.inf if self._enough else self._settings.exact
         x = snes.getFunction()[0].duplicate()
         self._before = x.duplicate()
         self._get(x)
@@ -208,7 +209,7 @@ class Corrector:
         self._factors = code == CONVERGED and not (free or tangent.kept.used)
         return Convergence(
             converged=code == CONVERGED,
-            reason=criteria.reached() if code == CONVERGED else self._why(code),
+            reason=self._reason or criteria.reached() if code == CONVERGED else self._why(code),
             code=code,
             iterations=len(self._sizes),
             projected=0,
@@ -338,6 +339,9 @@ class Corrector:
         if iteration == 1 and criteria.correction > FAR * size and not self._free:
             self.singular = True
             return Failure.LINEAR
+        if self._enough and not self._lift and self._enough(criteria.correction * ratio):
+            self._reason = "near enough"
+            return CONVERGED
         settled = norm <= criteria.goal and off <= criteria.rtol and not self._lift
         # Extrapolation magnifies what is left, in soft directions above all; back-solves are cheap.
         close = most if self._free or tangent.kept.used else settings.settle * most
@@ -366,7 +370,7 @@ class Corrector:
         return Failure.USED_UP if iteration >= snes.getTolerances()[3] else 0
 
     def _contraction(self, snes: PETSc.SNES, forces: float) -> float:
-        """Ratio of the last two corrections; of iterative solves' first one that of the forces."""
+        """Ratio of the last two corrections; that of forces for iterative first and loose ones."""
         criteria, update = self.newton.criteria, snes.getSolutionUpdate()
         own = update.array_r[: self._b.getLocalSize()]
         size = float(np.sqrt(self.problem.comm.allreduce(float(own @ own))))
@@ -380,7 +384,7 @@ class Corrector:
         if len(self._sizes) == 2:
             # Of corrections at the tolerance the ratio is noise.
             self.theta = 0.0 if self._tiny else theta
-        return theta
+        return min(theta, forces) if self._enough and self.newton.tangent.kept.used else theta
 
     def destroy(self, vectors: bool = True) -> None:
         """Free the PETSc objects."""

@@ -104,6 +104,14 @@ class Scaled:
             largest = max(largest, min(moved, relative))
         return float(largest)
 
+    def moved(self, values: NDArray[np.float64], before: NDArray[np.float64]) -> float:
+        """Largest change of a displacement [m] from one state of the unknown to another.
+
+        Collective.
+        """
+        change = np.abs(values[self.displacements] - before[self.displacements])
+        return float(self.problem.comm.allreduce(float(change.max(initial=0.0)), MPI.MAX))
+
     def floor(self) -> float:
         """Error of the forces [N] at u: that of the body, or eps |K_ii u_i|, if it is larger.
 

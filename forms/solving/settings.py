@@ -48,6 +48,9 @@ class Settings:
         digits: Digits of a linear solve that are enough for the last Newton step.
         loosest: Largest relative tolerance of a linear solve.
         exact: Relative tolerance of linear solves within a path.
+        within: Of a state within a step, which the account alone needs: part of what that may miss
+            by which its powers may be off, and of the step's largest displacement that its next
+            correction may have.
         settle: Part of the tolerance of corrections that those of a path by kept factors reach.
         aim: First contraction that the next step of a path is to have.
         refuse: Contraction above which a step of a path is refused.
@@ -82,6 +85,7 @@ class Settings:
     digits: int = 4
     loosest: float = 0.1
     exact: float = 1e-4
+    within: tuple[float, float] = (5e-3, 3e-3)
     settle: float = 1e-2
     aim: float = 0.15
     refuse: float = 0.5

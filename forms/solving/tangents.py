@@ -144,6 +144,16 @@ class Tangent:
         if self._action is not None and not self._action.assembled:
             self._action.update()
 
+    def stable_by_curvature(self) -> bool | None:
+        """Whether CG sees no negative curvature at the present state; None without. Collective.
+
+        Where it does, MUMPS is to take the place of multigrid for good, and counts.
+        """
+        if not (self.kept.used and self.problem.minimization) or self.majorizes:
+            return None
+        self.refresh()
+        return not self.kept.sees_negative_curvature()
+
     def damp(self) -> None:
         """Damp the tangent from now on; compared with the assembled one, or with the forces."""
         force = self._force() or 1.0

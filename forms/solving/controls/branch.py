@@ -88,7 +88,7 @@ class Branch:
     def unlike(self, outcome: Convergence) -> str:
         """Whether the number of negative eigenvalues changes over a step too long. Collective."""
         count = outcome.negative
-        stable = self.corrector.stable_by_curvature()
+        stable = self.newton.tangent.stable_by_curvature()
         if stable is False:
             self.newton.leave_multigrid()
             count = self.corrector.refactor()

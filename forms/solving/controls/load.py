@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import fem
 
 from ...files.checkpoint import Saved
-from ...ledger import JUMP, KINK, ORDINARY, START
+from ...ledger import JUMP, KINK, ORDINARY, START, Balance
 from ...paths import Convergence, Event, Path
 from ...programs import kinks
 from ..accounts import Accounts
@@ -21,7 +21,7 @@ from ..extrapolation import State, through
 from ..newton import Newton
 from ..pace import Pace
 from ..settings import Settings
-from .between import AHEAD, gaps, joined
+from .between import AHEAD, Gap, Reader, gaps, joined
 from .continuation import Continuation
 
 PIECES = 4  # steps of a smooth piece, at least
@@ -193,25 +193,46 @@ class LoadSteps(Continuation):
         known = self.path.balances
         length = len(known)
         for gap in gaps(known, self.path.floor, ahead, count):
-            begin, end = gap
-            places, middle = [state.place for state in states], (begin.place + end.place) / 2
-            if begin.place not in places or middle in tried:
+            places = [state.place for state in states]
+            if gap.begin.place not in places or gap.middle in tried:
                 continue
-            tried.add(middle)
-            at = places.index(begin.place)
-            around = states[max(at - AROUND, 0) : at + AROUND]
-            self.aim(middle)
-            curve = through(around, middle)
-            self.path.u.x.array[:] = curve.values
-            if self.corrector.solve(self.level).converged:
-                here = curve._replace(values=self.path.u.x.array.copy())
-                reading = accounts.read(middle, float(np.sign(end.load - begin.load)))
-                found = joined(known, gap, reading)
-                if len(found) > len(known):
-                    known[:] = found
-                    states.insert(at, here)
+            tried.add(gap.middle)
+            at = places.index(gap.begin.place)
+            reading = self._read_within(accounts, gap, states, at)
+            found = known if reading is None else joined(known, gap, reading)
+            if len(found) > len(known):
+                known[:] = found
+                states.insert(at, self.here(gap.middle))
             self.put(self._past[0])
         return len(known) > length
+
+    def _read_within(
+        self, accounts: Accounts, gap: Gap, states: Sequence[State], at: int
+    ) -> Balance | None:
+        """Solve for a state within a gap, as far as its account needs. Collective.
+
+        What the path's next solve begins with, preconditioner and forces, is left as it was.
+
+        Args:
+            accounts: Accounts of the path.
+            gap: The gap.
+            states: Known states, the latest first.
+            at: Number of the one at the gap's begin.
+
+        Returns:
+            What was read at it; None where it was not found.
+        """
+        criteria, kept = self.newton.criteria, self.newton.tangent.kept
+        moved = self.newton.tangent.scaled.moved(states[at - 1].values, states[at].values)
+        around = states[max(at - AROUND, 0) : at + AROUND]
+        reader = Reader(accounts, gap, around, moved, self.settings.within)
+        before = criteria.reactions
+        self.aim(gap.middle)
+        self.path.u.x.array[:] = through(around, gap.middle).values
+        with kept.aside():
+            solved = self.corrector.solve(self.level, enough=reader).converged
+        criteria.reactions = before
+        return reader.reading if solved else None
 
     def _read_behind(self) -> None:
         """Read the powers behind a kink. Collective."""

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from petsc4py import PETSc
@@ -57,7 +58,7 @@ class Kept:
         settings: Any,
     ) -> None:
         self.exact = np.inf
-        self._probing = False
+        self._probing = self._beside = False
         self.used, self.goal = preset.get("ksp_type") in ("cg", "gmres"), 0.0
         self._settings, self._worth = settings, settings.slower
         self._levels: OrderMultigrid | None = None
@@ -134,7 +135,7 @@ class Kept:
 
     def count(self) -> None:
         """Take note of the iterations of the linear solve that has just ended."""
-        if not self.used or self._probing:
+        if not self.used or self._probing or self._beside:
             return
         iterations, digits = self._ksp.getIterationNumber(), -np.log10(self._asked)
         each = iterations / digits
@@ -170,6 +171,16 @@ class Kept:
         due, built = self.due, self._first > 0
         self.due = due and not built
         return due
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Have solves beside a path neither count nor decide when anything is built anew."""
+        due, self._beside = self.spare(), True
+        try:
+            yield
+        finally:
+            self._beside = False
+            self.due |= due
 
     def solve_near(
         self,
