@@ -26,9 +26,9 @@ _AIJ = "seqaij", "mpiaij"
 
 
 class Products:
-    """How to compute P^T A P, for matrices that say so. One for the whole process.
+    """How to compute P^T A P, for matrices that say so.
 
-    PETSc keeps the addresses of its functions in matrices that outlive it otherwise.
+    It has to live as long as the process: products keep the addresses of its functions.
 
     Args:
         fits: Whether A and P are for it; alike on all ranks.
@@ -46,6 +46,7 @@ class Products:
         )
         self._before: dict[str, ctypes.c_void_p] = {}
         self._marked: list[PETSc.Mat] = []
+        self._active = False
         self._failure: BaseException | None = None
 
     @contextmanager
@@ -56,6 +57,7 @@ class Products:
         """
         chosen = PETSc.Options().hasName("matptap_via")
         if not chosen and A.getType() in _AIJ and _symbolic():
+            self._active = True
             self._mark(A)
         try:
             yield
@@ -64,7 +66,7 @@ class Products:
                 raise
             raise self._failure from None
         finally:
-            self._failure = None
+            self._failure, self._active = None, False
             for each in self._marked:
                 _set(each, -1, self._before[each.getType()])
                 _compose(each, None)
@@ -100,7 +102,8 @@ class Products:
     def _filled(self, C: PETSc.Mat) -> None:
         """The numbers of the product C."""
         self._compute(*_factors(C), C)
-        self._mark(C)
+        if self._active:
+            self._mark(C)
 
     def _guarded(self, function: Callable[[PETSc.Mat], None]) -> Any:
         """What PETSc calls: an error is kept, and PETSc told of one."""

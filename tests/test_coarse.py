@@ -178,10 +178,14 @@ def test_only_in_the_context_and_not_against_the_user_s_choice(monkeypatch):
         PETSc.Options().delValue("matptap_via")
     assert not calls
     with products.of(a):
-        a.ptap(p)
+        C = a.ptap(p)
     assert len(calls) == 1
     a.ptap(p)
     assert len(calls) == 1
+    a.ptap(p, C)  # the same product again, by what has made it
+    assert len(calls) == 2
+    C.ptap(C)
+    assert len(calls) == 2
 
 
 def test_an_error_within_is_the_one_that_is_raised(monkeypatch):
