@@ -27,7 +27,6 @@ from .native.library import library
 
 _NAME = "variform_insertion"
 _WIDTHS = {fem.IntegralType.cell: 1, fem.IntegralType.exterior_facet: 2}  # numbers of an entity
-_C = {"b": "int8_t *", "h": "int16_t *", "i": "int32_t *", "d": "double *"}
 
 
 def create_matrix(form: fem.Form, conditions: Sequence[fem.DirichletBC] = ()) -> PETSc.Mat:
@@ -203,7 +202,7 @@ class _Insertion:
 
     def _at(self, array: NDArray) -> Any:
         """Address of an array that lives as long as it is used."""
-        return self._ffi.cast(_C[array.dtype.char], array.ctypes.data)
+        return records.address(self._ffi, array)
 
     def assemble(self, A: PETSc.Mat, form: fem.Form | None, moduli: Any = None) -> None:
         """See the function of that name, the form without what has moduli. Collective."""

@@ -16,6 +16,7 @@ from . import _checks, _dolfinx
 from .bernstein import Array, Bernstein, derivative, scaled, sparse
 from .kinematics import is_revolved
 from .native.library import MAX_LINE, MAX_PARTS, TOGETHER, library
+from .native.records import address
 from .problems import Problem
 from .unknowns import Field, displacement_field
 
@@ -24,7 +25,6 @@ _MAX_DEGREE = 3
 SOME = 10_000  # cells whose nodes are placed at a time: for all at once it takes as much as a mesh
 _SIMPLICES = ("triangle", "tetrahedron")
 _CELLS = (*_SIMPLICES, "quadrilateral", "hexahedron")
-_C = {"d": "double *", "i": "int32_t *", "h": "int16_t *", "b": "int8_t *"}
 
 
 class Bounds(NamedTuple):
@@ -217,7 +217,7 @@ class VolumeBounds:
 
     def _at(self, array: NDArray) -> Any:
         """Address of an array that lives as long as it is used."""
-        return self._ffi.cast(_C[array.dtype.char], array.ctypes.data)
+        return address(self._ffi, array)
 
 
 def volume_bounds(of: Any, axisymmetric: bool | None = None) -> Bounds:

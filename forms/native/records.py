@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""C structures of insertion.h: a mesh's places, and an integral with what it is summed over."""
+"""Arrays for C; structures of insertion.h: a mesh's places, an integral with what it is over."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 from .. import _dolfinx
 
 Array = NDArray[np.float64]
+_C = {"b": "int8_t", "h": "int16_t", "i": "int32_t", "f": "float", "d": "double"}
+
+
+def address(ffi: Any, array: NDArray) -> Any:
+    """Address of an array, of its own type in C; who calls keeps the array."""
+    return ffi.cast(f"{_C[array.dtype.char]} *", array.ctypes.data)
 
 
 def geometry(ffi: Any, mesh: Any) -> tuple[Any, tuple[NDArray[np.int32], Array]]:

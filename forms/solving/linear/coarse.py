@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from ... import _petsc
 from ..._products import Products
 from ...native.library import MODES, library
+from ...native.records import address
 from .exchange import Halo, Indices, Lists, Shared, columns_of_others
 
-_TYPES = {"i": "int32_t *", "d": "double *"}
 BLOCKS = (3, MODES)  # rows of a node: of displacements, and of rigid motions
 
 
@@ -111,7 +111,7 @@ class _Native:
 
     def at(self, array: NDArray) -> Any:
         """Address of an array that is kept by who calls."""
-        return self.ffi.cast(_TYPES[array.dtype.char], array.ctypes.data)
+        return address(self.ffi, array)
 
     def pair(self, first: NDArray, second: NDArray) -> Any:
         """Addresses of two arrays."""

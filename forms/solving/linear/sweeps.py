@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import _petsc
 from ...native.library import library
+from ...native.records import address
 
 LEAST = 1e-4  # pivot of a node's block over its diagonal: three digits of seven are left
 ROOM, BLOCK, INVERSE = 8, 9, 12  # numbers a node, a block, an inverse (kernels/sweeps.h)
@@ -66,8 +67,7 @@ class Sweeps:
 
     def _at(self, array: NDArray) -> Any:
         """Address of an array that lives as long as it is used."""
-        kind = {"i": "int32_t *", "f": "float *", "d": "double *"}[array.dtype.char]
-        return self._ffi.cast(kind, array.ctypes.data)
+        return address(self._ffi, array)
 
     def update(self) -> None:
         """Take the numbers that the matrix has now, if they are others. Collective."""
